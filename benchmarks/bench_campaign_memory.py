@@ -49,7 +49,7 @@ def stored(folder: Path, runs: int) -> None:
 
 
 def synthetic(spec: CampaignSpec, runs: int) -> Shifts:
-    """So many runs made of a few."""
+    """This many runs made of a few."""
     made = Shifts.of(record for job in spec.jobs(MADE) for record in run_one(spec, job).records)
     rng = np.random.default_rng(1)
     seeds = made.column("seed") - SEEDS_APART * spec.seed

@@ -52,7 +52,7 @@ FIXED = {"vehicle.slope_percent": 0.0, "clutch.kiss": 1.0}
 
 
 def with_teeth(teeth: int) -> GearboxSheet:
-    """The sheet with so many teeth on every sensor wheel."""
+    """The sheet with this many teeth on every sensor wheel."""
     sheet = load_sheet("thesis")
     wheels = sheet.wheels
     named = {

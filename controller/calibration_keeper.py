@@ -60,7 +60,7 @@ class CalibrationWriter:
         self._sheet = sheet
         self._pool = ThreadPoolExecutor(1, "calibration") if threaded else None
         self._last: Future[str | None] | None = None
-        self._told: str | None = None
+        self._reported: str | None = None
 
     def __call__(self, calibration: Calibration) -> str | None:
         """Writes it, or has it written; returns what went wrong, each thing once."""
@@ -82,8 +82,8 @@ class CalibrationWriter:
         return self._new(line)
 
     def _new(self, line: str | None) -> str | None:
-        told, self._told = self._told, line
-        return None if line == told else line
+        reported, self._reported = self._reported, line
+        return None if line == reported else line
 
     def _write(self, calibration: Calibration) -> str | None:
         """What would be refused at the next start is not written: the file before is better."""

@@ -126,7 +126,7 @@ class ControllerCore:
         self._due_us: int | None = None
         self._wake_us: int | None = None
         self.snapshot: StepSnapshot | None = None
-        """The inputs of the newest decision; for those who look on. Estimates in it are live."""
+        """The inputs of the newest decision; read-only. Estimates in it are live."""
         self.shifts = 0
         """How many shifts have ended since the start."""
         self.strategy_errors: dict[str, int] = {}
@@ -141,17 +141,17 @@ class ControllerCore:
 
     @property
     def running_shift(self) -> ShiftRecord | None:
-        """The shift under way, or the one that this step has ended; for those who look on."""
+        """The shift under way, or the one that this step has ended; read-only."""
         return self._sequence.shift or self._sequence.finished
 
     @property
     def sequence(self) -> ShiftSequence:
-        """The shift sequence; for those who look on."""
+        """The shift sequence; read-only."""
         return self._sequence
 
     @property
     def observer(self) -> Observer:
-        """The estimates; for those who look on."""
+        """The estimates; read-only."""
         return self._observer
 
     def calibration(self, written: str) -> Calibration:
@@ -229,8 +229,8 @@ class ControllerCore:
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
-        look = self._phase.take if self._is_tick(now_us) else self._phase.between
-        look(inputs, snapshot.now_us)
+        measurement = self._phase.take if self._is_tick(now_us) else self._phase.between
+        measurement(inputs, snapshot.now_us)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)
@@ -329,7 +329,7 @@ class ControllerCore:
     def _turns_as_wanted(self) -> bool:
         """Whether the speeds are known that a shift needs. In neutral, a splitter that stands
         between its steps leaves the layshaft to itself, and it stops: to bring the step in, no
-        speed of it is needed; the propeller's tells how fast the new gear would be."""
+        speed of it is needed; the propeller's says how fast the new gear would be."""
         speeds, view, tracker = self._speeds, self._observer.view, self._observer.layshaft
         if view.main_gear is MainGear.NEUTRAL and None in (view.split, view.range_):
             return speeds.propeller is not None

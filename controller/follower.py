@@ -1,7 +1,7 @@
-"""Another controller's estimates along a course that a first one commands.
+"""Another controller's estimates along a trajectory that a first one commands.
 
 A replay with other settings, calibration, estimator or data sheet needs estimates that know the
-recorded course from the start of the run. The follower consumes the frames that the first
+recorded trajectory from the start of the run. The follower consumes the frames that the first
 controller consumes, with that one's brake commands for its filters; it decides nothing. What a
 sequence learns from its own shifts (delays, the flank on which a gear locks) it learns from the
 first one's.
@@ -27,7 +27,7 @@ from meshpoint.dbc.node import Node
 
 
 class Follower:
-    """Estimates by `header`, along another controller's course."""
+    """Estimates by `header`, along another controller's trajectory."""
 
     def __init__(self, header: RunHeader) -> None:
         sheet, settings = header.sheet, header.settings

@@ -44,7 +44,7 @@ async def run_controller(
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
-    proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
+    proven to be ours. With `diagnosis` it claims its address, reports its trouble codes and answers
     testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
     to know of link outages, and of every step where `wire` is classic; what of it cannot be written
     is said and counted. `wire`: the frames on the bus. `address`: the controller's on this bus,

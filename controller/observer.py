@@ -78,7 +78,7 @@ class Observer:
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self.pressed_nm = 0.0
-        """What is left in the shafts as a gear comes out (`DrivelineLook.pressed_nm`)."""
+        """What is left in the shafts as a gear comes out (`DrivelineMeasurement.pressed_nm`)."""
         self.kiss_share = sheet.clutch.kiss_share
         """Where the clutch's plates begin to carry, as far as it is known."""
         self._loaded = LoadedDriveline(sheet)
@@ -111,7 +111,7 @@ class Observer:
         self._model_layshaft()
         self.valves: ValveStatus | None = None
         self._lost = (0, 0, 0)
-        self._told_late = 0
+        self._reported_late = 0
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
@@ -206,7 +206,7 @@ class Observer:
         self.layshaft.edges(layshaft, pressures)
         self._see_load(inputs)
         if self.recovery is not None:
-            self.recovery.look(events, self._layshaft_wheel.sensor.renumbered)
+            self.recovery.measure(events, self._layshaft_wheel.sensor.renumbered)
 
     def _see_load(self, inputs: StepInputs) -> None:
         """Follows what loads the gear in mesh."""
@@ -276,8 +276,8 @@ class Observer:
 
     def _lose_what_broke(self, events: list[str]) -> bool:
         """Whether the sensor clock has jumped: what came in this step is of two clocks then."""
-        if self.clock.late != self._told_late:
-            self._told_late = self.clock.late
+        if self.clock.late != self._reported_late:
+            self._reported_late = self.clock.late
             events.append(
                 f"sensor frames come over {JUMP_US // 1000} ms late: bus or machine overloaded"
             )
@@ -371,7 +371,7 @@ class Observer:
             return
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
         if layshaft is not None and main is not None:
-            self._locked.look(gear, layshaft, main, self._coasting_rad_s2, events)
+            self._locked.measure(gear, layshaft, main, self._coasting_rad_s2, events)
 
     @property
     def _coasting_rad_s2(self) -> float | None:

@@ -68,7 +68,7 @@ class OutageRecord(AroundCore[Core]):
 
     def step(self, now_us: int) -> Step:
         """The core's step; a line of its own where a record begins."""
-        lines = self._look()
+        lines = self._measure()
         heard, self._heard = self._heard, []
         self._take(StepInput(self._number, now_us, heard))
         self._number += 1
@@ -77,12 +77,12 @@ class OutageRecord(AroundCore[Core]):
 
     def shutdown(self, now_us: int) -> Step:
         """The core's last frames; ends the record."""
-        lines = self._look()
+        lines = self._measure()
         self._end()
         step = self._core.shutdown(now_us)
         return Step(step.frames, [*step.events, *lines])
 
-    def _look(self) -> list[str]:
+    def _measure(self) -> list[str]:
         """Whether the step before could be sent."""
         discarded = self._discarded()
         is_lost = discarded > self._discarded_before

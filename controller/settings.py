@@ -141,7 +141,7 @@ class Prices:
 
 @dataclass(frozen=True)
 class ShiftLimits:
-    """When a phase of the shift has taken too long, and how often it is tried."""
+    """When a part of the shift has taken too long, and how often it is tried."""
 
     clutch_ms: int = count("clutch_ms", 50, 5000, default=600)
     """For the clutch to open, and to close."""

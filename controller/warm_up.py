@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.estimation.brake_kernels import pressure_course
+from meshpoint.controller.estimation.brake_kernels import pressure_trajectory
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
 from meshpoint.controller.estimation.lash_cloud import correct
@@ -15,8 +15,8 @@ from meshpoint.controller.estimation.loaded_kernels import (
 )
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.kernels import STATES
-from meshpoint.controller.motion.lash_course import Chance, LashCourse
 from meshpoint.controller.motion.lash_motion import ROWS, LashModel, move
+from meshpoint.controller.motion.lash_trajectory import Chance, LashTrajectory
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
     LINEAR,
@@ -78,7 +78,7 @@ def _warm_up_crossing() -> None:
     state = shaft.at(2e3, switches, model)
     predict(state, 3e3, switches, model)
     outlook(state, Ticks(1.0, 1.0, 1), switches, model)
-    pressure_course(np.ones(STATES), np.array([1e3]), switches, model.flat, np.empty(1))
+    pressure_trajectory(np.ones(STATES), np.array([1e3]), switches, model.flat, np.empty(1))
 
 
 def _warm_up_swing() -> None:
@@ -90,10 +90,10 @@ def _warm_up_swing() -> None:
     swing = Swing(shaft.x, shaft.p, model)
     swing.theta_sd_ahead(0.1)
     swing.outlook(0.1, 0.01, 1)
-    swing.course(0.1, 0.1, np.empty((2, 1)))
+    swing.trajectory(0.1, 0.1, np.empty((2, 1)))
     model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), Chance(1.0, 1.0))
     move(np.ones((ROWS, 1)), 1e-3, model_of_lash)
     correct(np.ones((ROWS, 1)), np.ones(1), np.ones(1), np.ones(3), 1.0)
-    LashCourse(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)
+    LashTrajectory(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)
     loaded = np.ones((LOADED_STATES, LOADED_STATES))
     loaded_ahead(loaded[0].copy(), loaded, 1e-3, np.ones(LOADED_MODEL.itemsize // WORD_BYTES))

@@ -40,8 +40,8 @@ def torque_parts(share: float) -> tuple[float, float]:
 
 
 def torque_share(whole: float | None, fine: float | None) -> tuple[float | None, float]:
-    """A torque of two such parts, and the step that it is told in; None where there is none. Who
-    tells no fine part has rounded to whole per cent."""
+    """A torque of two such parts, and the step that it is reported in; None where there is none.
+    Who reports no fine part has rounded to whole per cent."""
     if whole is None:
         return None, PER_CENT
     return (whole, PER_CENT) if fine is None else (whole + fine, EIGHTH)
@@ -86,7 +86,7 @@ def checked_request(frame: Frame, counter: int) -> Frame:
 
 def is_intact(frame: Frame) -> bool:
     """Whether a TSC1 frame's checksum is right; one that carries none (all ones) is."""
-    counter, told = frame.data[7] & 0x0F, frame.data[7] >> 4
-    if counter == told == 0x0F:
+    counter, reported = frame.data[7] & 0x0F, frame.data[7] >> 4
+    if counter == reported == 0x0F:
         return True
-    return told == checksum(frame.can_id, frame.data, counter)
+    return reported == checksum(frame.can_id, frame.data, counter)

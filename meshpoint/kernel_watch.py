@@ -1,4 +1,4 @@
-"""Who is told of what the cache of compiled kernels does. Loads nothing: any command may."""
+"""Who hears what the cache of compiled kernels does. Loads nothing: any command may."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )  # fmt: skip
     group.addoption(
         "--meshpoint-speed", type=float, default=1.0, metavar="X",
-        help="for all but virtual: so many times as fast as the wall clock (default: 1)",
+        help="for all but virtual: this many times as fast as the wall clock (default: 1)",
     )  # fmt: skip
     group.addoption(
         "--meshpoint-out", type=Path, default=Path(FAILURES), metavar="DIR",

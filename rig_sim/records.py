@@ -49,7 +49,7 @@ SCALARS: Final[dict[Any, Any]] = {float: ctypes.c_double, int: ctypes.c_int64}
 
 
 class Row(Protocol[Value]):
-    """So many values or records one after the other; a slice of values is a list of them."""
+    """This many values or records one after the other; a slice of values is a list of them."""
 
     @overload
     def __getitem__(self, index: int) -> Value: ...
@@ -169,7 +169,7 @@ def dtype_of(kind: type[Record]) -> np.dtype[Any]:
 
 
 def _part_of(record: Any, offset: int, kind: type[Record]) -> Any:
-    """The record of this kind that begins so many bytes after the beginning of another. It is got
+    """The record of this kind that begins this many bytes after the beginning of another. It is got
     field by field, as one made from a buffer would not know what it is a part of."""
     while offset or type(record) is not kind:
         for name, field in record._fields_:

@@ -27,7 +27,7 @@ class Suspicions:
 
     def __init__(self) -> None:
         self._found: dict[str, Counter[int]] = {STRANGER: Counter(), GAP: Counter()}
-        self._told_us: dict[str, int] = {}
+        self._reported_us: dict[str, int] = {}
         self._leapt: set[int] = set()
         """Identifiers whose newest frame leapt, after one that did not."""
 
@@ -49,10 +49,10 @@ class Suspicions:
         """What is to be said, at once and then once a second."""
         lines = []
         for what, counts in self._found.items():
-            told_us = self._told_us.get(what)
-            if not counts or (told_us is not None and time_us - told_us < TELL_US):
+            reported_us = self._reported_us.get(what)
+            if not counts or (reported_us is not None and time_us - reported_us < TELL_US):
                 continue
-            self._told_us[what] = time_us
+            self._reported_us[what] = time_us
             lines += [
                 f"{time_us / 1e6:.6f} s {count} x {NAMES[can_id]} (0x{can_id:08X}) {what}"
                 for can_id, count in sorted(counts.items())

@@ -64,7 +64,8 @@ def waited_s(process: int) -> dict[tuple[int, int], float]:
 
 
 def stalls_s() -> dict[tuple[int, int], float]:
-    """The same of every thread of this process and its descendants; empty where no kernel tells."""
+    """The same of every thread of this process and its descendants; empty where no kernel
+    reports."""
     stalls: dict[tuple[int, int], float] = {}
     for process in family(os.getpid(), _parents()):
         stalls |= waited_s(process)

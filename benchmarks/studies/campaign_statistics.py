@@ -171,8 +171,9 @@ def _verdict_statements(own: Settings, judged: dict[VerdictRun, Verdicts]) -> tu
     ]
     return (
         Statement(
-            f"(not in the thesis) a change from {rates} is told from none with errors of 5 % at "
-            f"most, after {MOST_PAIRS} pairs at the median, against a baseline of {own.runs} runs",
+            f"(not in the thesis) a change from {rates} is distinguished from none with "
+            f"errors of 5 % at most, after {MOST_PAIRS} pairs at the median, "
+            f"against a baseline of {own.runs} runs",
             f"found in {found:.1%} at least, called not worse in {missed:.1%} at most; no change "
             f"called worse in {wrong:.1%} at most; {pairs:.0f} pairs at most",
             ThesisVerdict.AGREES if good else ThesisVerdict.DIFFERS,

@@ -65,7 +65,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     sound = [(seed, box) for seed, box in boxes if not box.is_miswired]
     named = sum(box.is_right for _, box in wrong)
     called = sum(box.is_right for _, box in sound)
-    told = sum(box.told for _, box in sound)
+    reported = sum(box.reported for _, box in sound)
     mistaken = sum(box.mistaken for _, box in sound)
     judged = [box for _, box in sound if box.gaps]
     with_true, with_own = _rate([b.true_gaps for b in judged]), _rate([b.gaps for b in judged])
@@ -76,7 +76,7 @@ def _conclude(given: Given[Settings]) -> Finding:
             "(not in the thesis) every miswiring is named, and nothing is named where nothing is "
             "wrong",
             f"{named} of {len(wrong)} miswirings named, {called} of {len(sound)} sound gearboxes "
-            f"called sound; of {told} tooth counts and ratios told, {mistaken} wrong",
+            f"called sound; of {reported} tooth counts and ratios reported, {mistaken} wrong",
             _verdict(named == len(wrong) and called == len(sound) and not mistaken),
             "without a data sheet, by how shafts turn and sleeves move",
         ),
@@ -101,14 +101,15 @@ def _conclude(given: Given[Settings]) -> Finding:
         "named": named,
         "sound": len(sound),
         "called_sound": called,
-        "told": told,
+        "reported": reported,
         "mistaken": mistaken,
         "judged": len(judged),
         "in_gap_true_sheet": list(with_true),
         "in_gap_measured": list(with_own),
         "difference": [difference, low, high],
         "by_gearbox": [
-            [seed, sum(box.true_gaps), sum(box.gaps), box.told, box.mistaken] for seed, box in sound
+            [seed, sum(box.true_gaps), sum(box.gaps), box.reported, box.mistaken]
+            for seed, box in sound
         ],
         "simulated_s": sum(box.simulated_s for _, box in boxes),
     }

@@ -32,8 +32,8 @@ class Box(NamedTuple):
     """Whether what is wrong, and nothing else, was named."""
     said: tuple[str, ...]
     """What was found bad."""
-    told: int
-    """Of 12 tooth counts and ratios: how many were told,"""
+    reported: int
+    """Of 12 tooth counts and ratios: how many were reported,"""
     mistaken: int
     """and how many of these are wrong."""
     true_gaps: tuple[bool, ...]
@@ -61,16 +61,18 @@ class CommissionRun:
         turned = rehearse_turned(sheet, self.seed, wrong, self.profile)
         bad = [one for one in turned.findings if one.verdict is Verdict.BAD]
         said = tuple(f"{one.subject}: {one.text}" for one in bad)
-        told = mistaken = 0
+        reported = mistaken = 0
         true_gaps: tuple[bool, ...] = ()
         gaps: tuple[bool, ...] = ()
         if not bad and not wrong.is_any:
             found = commissioned(turned.core, withheld(sheet), product_version(), "study")
-            told, mistaken = _compared(sheet, found.sheet, {one.subject for one in found.findings})
+            reported, mistaken = _compared(
+                sheet, found.sheet, {one.subject for one in found.findings}
+            )
             true_gaps = self._gaps(sheet, None)
             gaps = self._gaps(sheet, (found.sheet, found.calibration))
         return Box(
-            str(wrong), wrong.is_any, turned.is_right, said, told, mistaken, true_gaps, gaps,
+            str(wrong), wrong.is_any, turned.is_right, said, reported, mistaken, true_gaps, gaps,
             turned.simulated_s,
         )  # fmt: skip
 
@@ -92,8 +94,8 @@ class CommissionRun:
 
 
 def _compared(true: GearboxSheet, found: GearboxSheet, unknown: set[str]) -> tuple[int, int]:
-    """Tooth counts of sensor wheels and exact ratios: how many were told, and how many of these are
-    not the true ones."""
+    """Tooth counts of sensor wheels and exact ratios: how many were reported, and how many of these
+    are not the true ones."""
     right = {f"{shaft} wheel": _wheel(true, shaft) == _wheel(found, shaft) for shaft in Shaft}
     for split in Split:
         same = true.split_mesh(split).exact == found.split_mesh(split).exact
@@ -104,8 +106,8 @@ def _compared(true: GearboxSheet, found: GearboxSheet, unknown: set[str]) -> tup
     for range_ in Range:
         same = true.range_mesh(range_).exact == found.range_mesh(range_).exact
         right[f"range.{range_.name.lower()}"] = same
-    told = [is_right for name, is_right in right.items() if name not in unknown]
-    return len(told), told.count(False)
+    reported = [is_right for name, is_right in right.items() if name not in unknown]
+    return len(reported), reported.count(False)
 
 
 def _wheel(sheet: GearboxSheet, shaft: Shaft) -> int:

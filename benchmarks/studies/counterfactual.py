@@ -1,4 +1,4 @@
-"""What a log tells of another strategy's landing, against the truth that only a rig has."""
+"""What a log says of another strategy's landing, against the truth that only a rig has."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 COUNT_COLUMNS: Final = (
     "recorded, asked",
     "shifts",
-    "told",
+    "reported",
     "covered",
     "half interval, deg",
     "same",
@@ -79,8 +79,8 @@ def _conclude(given: Given[Settings]) -> Finding:
         for recorded, asked in DIRECTIONS
     }
     every = [pair for pairs in by_direction.values() for pair in pairs]
-    told = [(number, shift) for number, shift in every if not shift.why]
-    coverage, interval = _coverage(told)
+    reported = [(number, shift) for number, shift in every if not shift.why]
+    coverage, interval = _coverage(reported)
     reasons = Counter(
         "same commands as recorded" if shift.is_same else NUMBER.sub("n", shift.why)
         for _, shift in every
@@ -91,8 +91,8 @@ def _conclude(given: Given[Settings]) -> Finding:
         Statement(
             "(not in the thesis) 95 % intervals of a landing worked out from a log hold the true "
             f"one in {own.least:.0%} to {own.most:.0%}",
-            f"{coverage:.1%} of {len(told)} ({interval[0]:.1%} to {interval[1]:.1%}); of "
-            f"{len(every)} shifts {len(every) - len(told)} are not told",
+            f"{coverage:.1%} of {len(reported)} ({interval[0]:.1%} to {interval[1]:.1%}); of "
+            f"{len(every)} shifts {len(every) - len(reported)} are not reported",
             ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS,
             "the truth is the same bench, copied at the request, with the other strategy",
         ),
@@ -100,40 +100,45 @@ def _conclude(given: Given[Settings]) -> Finding:
     rows = tuple((name, *_counts(pairs)) for name, pairs in by_direction.items())
     values: dict[str, Any] = {
         "shifts": len(every),
-        "told": len(told),
+        "reported": len(reported),
         "coverage": coverage,
         "coverage_interval": list(interval),
-        "not_told": dict(sorted(reasons.items())),
-        "expected_in_gap": _mean([shift.probability for _, shift in told]),
-        "in_gap": _mean([float(shift.in_gap) for _, shift in told]),
+        "not_reported": dict(sorted(reasons.items())),
+        "expected_in_gap": _mean([shift.probability for _, shift in reported]),
+        "in_gap": _mean([float(shift.in_gap) for _, shift in reported]),
         "by_direction": {
             row[0]: dict(zip(COUNT_COLUMNS[1:], row[1:], strict=True)) for row in rows
         },
     }
     tables = (
         Table("directions", "By recorded and asked strategy", COUNT_COLUMNS, rows),
-        Table("not_told", "Why no landing is told", ("reason", "shifts"), tuple(reasons.items())),
+        Table(
+            "not_reported",
+            "Why no landing is reported",
+            ("reason", "shifts"),
+            tuple(reasons.items()),
+        ),
     )
     pitch_deg = given.sheet.dog.pitch_rad / DEG
-    return Finding(statements, values, (_chart(told, pitch_deg),), tables)
+    return Finding(statements, values, (_chart(reported, pitch_deg),), tables)
 
 
-def _coverage(told: list[tuple[int, Compared]]) -> tuple[float, tuple[float, float]]:
+def _coverage(reported: list[tuple[int, Compared]]) -> tuple[float, tuple[float, float]]:
     """Share of intervals that hold the truth, and its interval; shifts of a truck are a cluster."""
-    if not told:
+    if not reported:
         return 0.0, (0.0, 1.0)
-    clusters = np.unique([number for number, _ in told], return_inverse=True)[1]
-    hits = np.array([shift.covered for _, shift in told])
+    clusters = np.unique([number for number, _ in reported], return_inverse=True)[1]
+    hits = np.array([shift.covered for _, shift in reported])
     return float(hits.mean()), rate_interval(hits, clusters)
 
 
 def _counts(pairs: list[tuple[int, Compared]]) -> tuple[int, int, int, float, int]:
-    told = [shift for _, shift in pairs if not shift.why]
+    reported = [shift for _, shift in pairs if not shift.why]
     return (
         len(pairs),
-        len(told),
-        sum(shift.covered for shift in told),
-        _mean([shift.half_deg for shift in told]),
+        len(reported),
+        sum(shift.covered for shift in reported),
+        _mean([shift.half_deg for shift in reported]),
         sum(shift.is_same for _, shift in pairs),
     )
 
@@ -142,9 +147,9 @@ def _mean(values: list[float]) -> float:
     return sum(values) / len(values) if values else 0.0
 
 
-def _chart(told: list[tuple[int, Compared]], pitch_deg: float) -> Chart:
+def _chart(reported: list[tuple[int, Compared]], pitch_deg: float) -> Chart:
     """Errors over half the interval, in order."""
-    share = sorted(shift.error_deg / shift.half_deg for _, shift in told) or [0.0]
+    share = sorted(shift.error_deg / shift.half_deg for _, shift in reported) or [0.0]
     place = [100.0 * (k + 0.5) / len(share) for k in range(len(share))]
     panel = Panel(
         "true landing less the one worked out, over half the interval",
@@ -157,7 +162,7 @@ def _chart(told: list[tuple[int, Compared]], pitch_deg: float) -> Chart:
 
 STUDY = Study(
     "counterfactual",
-    "Where another strategy would have landed, told from a log",
+    "Where another strategy would have landed, distinguished from a log",
     ("beyond",),
     Settings,
     _conclude,

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.studies.identify_run import Gearbox, IdentifyRun, Told
+from benchmarks.studies.identify_run import Gearbox, IdentifyRun, Reported
 from benchmarks.studies.record import (
     Chart,
     Finding,
@@ -27,7 +27,7 @@ from meshpoint.gearbox.tables import count, quantity, text
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.campaign.intervals import rate_interval
 
-COLUMNS: Final = ("figure", "unit", "told", "covered", "half interval", "error", "data sheet's")
+COLUMNS: Final = ("figure", "unit", "reported", "covered", "half interval", "error", "data sheet's")
 CHECKS: Final = ("kept out", "unit", "identified", "data sheet")
 
 
@@ -56,27 +56,27 @@ def _jobs(given: Given[Settings]) -> tuple[IdentifyRun, ...]:
 def _conclude(given: Given[Settings]) -> Finding:
     own = given.own
     boxes: list[Gearbox] = [given.results[job] for job in _jobs(given)]
-    by_name: dict[str, list[Told]] = {}
+    by_name: dict[str, list[Reported]] = {}
     for box in boxes:
-        for one in box.told:
+        for one in box.reported:
             by_name.setdefault(one.name, []).append(one)
     rows = tuple(_row(name, seen) for name, seen in by_name.items())
-    told = [
+    reported = [
         (number, one.covered)
         for number, box in enumerate(boxes)
-        for one in box.told
+        for one in box.reported
         if one.value is not None
     ]
-    hits = np.array([hit for _, hit in told])
-    share = float(hits.mean()) if told else 0.0
-    clusters = np.array([number for number, _ in told])
-    interval = rate_interval(hits, clusters) if told else (0.0, 1.0)
+    hits = np.array([hit for _, hit in reported])
+    share = float(hits.mean()) if reported else 0.0
+    clusters = np.array([number for number, _ in reported])
+    interval = rate_interval(hits, clusters) if reported else (0.0, 1.0)
     edges = _edges(boxes)
     statements = (
         Statement(
             "(not in the thesis) values as built lie in the 95 % intervals that a log of "
             f"{own.shifts} shifts gives, in {own.least:.0%} of {len(boxes)} gearboxes at least",
-            f"{share:.1%} of {len(told)} ({interval[0]:.1%} to {interval[1]:.1%}); least of a "
+            f"{share:.1%} of {len(reported)} ({interval[0]:.1%} to {interval[1]:.1%}); least of a "
             f"figure {min((_share(seen) for seen in by_name.values()), default=0.0):.0%}",
             ThesisVerdict.AGREES if share >= own.least else ThesisVerdict.DIFFERS,
             "the truth is the rig's own, which the log does not hold",
@@ -85,7 +85,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     checks = _checks(boxes)
     values: dict[str, Any] = {
         "gearboxes": len(boxes),
-        "told": len(told),
+        "reported": len(reported),
         "coverage": share,
         "coverage_interval": list(interval),
         "edges_covered": edges,
@@ -99,19 +99,19 @@ def _conclude(given: Given[Settings]) -> Finding:
     return Finding(statements, values, (_chart(by_name),), tables)
 
 
-def _share(seen: list[Told]) -> float:
-    told = [one.covered for one in seen if one.value is not None]
-    return sum(told) / len(told) if told else 1.0
+def _share(seen: list[Reported]) -> float:
+    reported = [one.covered for one in seen if one.value is not None]
+    return sum(reported) / len(reported) if reported else 1.0
 
 
-def _row(name: str, seen: list[Told]) -> tuple[Any, ...]:
-    told = [one for one in seen if one.value is not None]
-    half = _median([0.5 * (one.high - one.low) for one in told])
-    error = _median([abs((one.value or 0.0) - one.truth) for one in told])
-    sheet = [abs(one.sheet - one.truth) for one in told if one.sheet is not None]
-    covered = sum(one.covered for one in told)
+def _row(name: str, seen: list[Reported]) -> tuple[Any, ...]:
+    reported = [one for one in seen if one.value is not None]
+    half = _median([0.5 * (one.high - one.low) for one in reported])
+    error = _median([abs((one.value or 0.0) - one.truth) for one in reported])
+    sheet = [abs(one.sheet - one.truth) for one in reported if one.sheet is not None]
+    covered = sum(one.covered for one in reported)
     of_sheet = _median(sheet) if sheet else None
-    return name, seen[0].unit, len(told), covered, half, error, of_sheet
+    return name, seen[0].unit, len(reported), covered, half, error, of_sheet
 
 
 def _median(values: list[float]) -> float:
@@ -140,7 +140,7 @@ def _checks(boxes: list[Gearbox]) -> tuple[tuple[Any, ...], ...]:
     )
 
 
-def _chart(by_name: dict[str, list[Told]]) -> Chart:
+def _chart(by_name: dict[str, list[Reported]]) -> Chart:
     """Errors over half the interval, in order."""
     shares = sorted(
         (one.truth - 0.5 * (one.low + one.high)) / (0.5 * (one.high - one.low))
@@ -159,7 +159,7 @@ def _chart(by_name: dict[str, list[Told]]) -> Chart:
 
 STUDY = Study(
     "identify",
-    "What a log tells of its gearbox, against what was built",
+    "What a log says of its gearbox, against what was built",
     ("beyond",),
     Settings,
     _conclude,

@@ -35,7 +35,7 @@ START_US: Final = 10_000_000
 STEP_S: Final = 1e-5
 
 
-class Told(NamedTuple):
+class Reported(NamedTuple):
     """One figure of one gearbox."""
 
     name: str
@@ -53,9 +53,9 @@ class Told(NamedTuple):
 
 
 class Gearbox(NamedTuple):
-    """What the log of one gearbox told."""
+    """What the log of one gearbox reported."""
 
-    told: tuple[Told, ...]
+    reported: tuple[Reported, ...]
     teeth: tuple[tuple[str, int, int], ...]
     """Of each wheel: edges, and how many of their places lie in their own intervals."""
     held_out: tuple[tuple[str, str, float, float], ...]
@@ -100,7 +100,7 @@ class IdentifyRun:
         built = draw_as_built(self.seed, drawn.as_built, self.profile)
         truth = _Truth(self.sheet, built, found, content, float(np.mean(discs)))
         return Gearbox(
-            tuple(truth.told()),
+            tuple(truth.reported()),
             tuple(truth.edges(name, fitted) for name, fitted in found.teeth.items()),
             tuple((one.name, one.unit, one.identified, one.by_sheet) for one in found.held_out),
         )
@@ -132,12 +132,12 @@ class _Truth:
             )
         }
 
-    def told(self) -> list[Told]:
+    def reported(self) -> list[Reported]:
         """Every figure that has a truth."""
         truths = {**self._brake(), **self._sleeves(), **self._of_wheels()}
         truths["clutch kiss point"] = 100.0 * self._built["clutch.kiss"]
         return [
-            Told(
+            Reported(
                 one.name,
                 one.unit,
                 one.value,

@@ -104,7 +104,7 @@ def time_constant_s(sheet: GearboxSheet, measured: Compared) -> float:
     at_63 = int(np.argmax(gauge >= RISE_SHARE * final))
     first = int(np.argmax(gauge >= REACTION_SHARE * final))
     if not 0 < first <= at_63:
-        raise CommandError("the brake's pressure does not rise to 63 %: tau cannot be told")
+        raise CommandError("the brake's pressure does not rise to 63 %: tau cannot be determined")
     return (
         _crossing(measured.time_ms, gauge, at_63, RISE_SHARE * final)
         - _crossing(measured.time_ms, gauge, first, 0.0)

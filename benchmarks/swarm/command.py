@@ -116,12 +116,12 @@ class _Teller:
     """Says how far it is, now and then, where it does not get into anybody's results."""
 
     def __init__(self) -> None:
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
 
     def __call__(self, swarm: Swarm) -> None:
         now_s = time.monotonic()
-        if now_s - self._told_s >= TELL_EVERY_S:
-            self._told_s = now_s
+        if now_s - self._reported_s >= TELL_EVERY_S:
+            self._reported_s = now_s
             hours = swarm.simulated_s / 3600.0
             text = f"{hours:.2f} h simulated, {swarm.shifts} shifts, {len(swarm.found)} violations"
             complain(text)

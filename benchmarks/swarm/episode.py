@@ -150,7 +150,7 @@ class Episode:
         return WatchedController(self._setup.header, self.world.seed)
 
     def listen(self, tell: Callable[[int, int, str], None]) -> None:
-        """From now on the nodes' log lines are told: time (us), node, line."""
+        """From now on the nodes' log lines are reported: time (us), node, line."""
         self._tell = tell
 
     def _on_event(self, time_us: int, node: int, line: str) -> None:

@@ -30,7 +30,7 @@ OVERSPEED: Final = 1.03
 MEMORY_US: Final = 90_000
 """A speed that the guard uses is at most so old."""
 SPEED_ERROR: Final = 0.05
-"""A gear that locks jerks its shafts for less time than there is between two looks at the truth."""
+"""A gear that locks jerks its shafts for less time than there is between two polls at the truth."""
 SPEED_ERROR_RAD_S: Final = 2.0
 BLIND_STEPS: Final = 2
 BEHIND_US: Final = 20_000

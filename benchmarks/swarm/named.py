@@ -75,7 +75,7 @@ NAMED: Final = (
 )  # fmt: skip
 
 
-class Course(NamedTuple):
+class Outcome(NamedTuple):
     """What came of a named fault."""
 
     named: Named
@@ -144,7 +144,7 @@ class _Scene(Episode):
             self.result = "refused"
 
 
-def run_named(named: Named) -> Course:
+def run_named(named: Named) -> Outcome:
     """The scenario, to the shift that comes back after it."""
     scene = _Scene(named)
     scene.listen(scene.say)
@@ -155,7 +155,7 @@ def run_named(named: Named) -> Course:
     def since_ms(time_us: int | None) -> float | None:
         return None if time_us is None or struck_us is None else (time_us - struck_us) / 1000.0
 
-    return Course(
+    return Outcome(
         named,
         since_ms(None if found is None else found[0]),
         "-" if found is None else found[1],
@@ -173,14 +173,14 @@ def what(named: Named) -> str:
     return NODE_KINDS[named.kind]
 
 
-def table_row(course: Course) -> str:
+def table_row(outcome: Outcome) -> str:
     """A line of docs/faults.md."""
-    named: Any = course.named
-    found = "-" if course.found_ms is None else f"{course.found_ms:.0f}"
+    named: Any = outcome.named
+    found = "-" if outcome.found_ms is None else f"{outcome.found_ms:.0f}"
     value = f" {named.value:g}" if named.value else ""
     name = f"`{named.kind} {int(named.target)}{value}`"
     state = named.state.name.lower()
-    return f"| {name} | {what(named)} | {state} | {found} | {course.by} | {course.result} |"
+    return f"| {name} | {what(named)} | {state} | {found} | {outcome.by} | {outcome.result} |"
 
 
 HEAD: Final = (
@@ -193,12 +193,12 @@ END: Final = "<!-- end -->"
 
 def write_table(path: Path) -> list[Broken]:
     """Makes the table between its two marks anew. Returns what broke, which must be nothing."""
-    courses = [run_named(named) for named in NAMED]
+    outcomes = [run_named(named) for named in NAMED]
     text = path.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
-    rows = "".join(table_row(course) + "\n" for course in courses)
+    rows = "".join(table_row(outcome) + "\n" for outcome in outcomes)
     path.write_text(before + BEGIN + HEAD + rows + END + rest.split(END)[1], encoding="utf-8")
-    return [broken for course in courses for broken in course.broken]
+    return [broken for outcome in outcomes for broken in outcome.broken]
 
 
 if __name__ == "__main__":

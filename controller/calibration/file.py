@@ -47,17 +47,17 @@ def load(path: Path, sheet: GearboxSheet) -> Loaded:
     try:
         calibration = read_file(path, sheet)
     except CalibrationError as error:
-        told = f"calibration refused: {error}"
+        reported = f"calibration refused: {error}"
         if path.exists() and not path.is_file():
             # A device or a folder is somebody else's: neither moved nor replaced.
-            return Loaded(None, f"{told}; nothing will be written; cold start", False)
+            return Loaded(None, f"{reported}; nothing will be written; cold start", False)
         try:
             kept = _put_aside(path)
         except OSError as failure:
             reason = failure.strerror or failure
-            told = f"{told}; cannot be put aside ({reason}), so nothing will be written"
-            return Loaded(None, f"{told}; cold start", False)
-        return Loaded(None, f"{told}; kept as {kept}; cold start", True)
+            reported = f"{reported}; cannot be put aside ({reason}), so nothing will be written"
+            return Loaded(None, f"{reported}; cold start", False)
+        return Loaded(None, f"{reported}; kept as {kept}; cold start", True)
     shifts = calibration.provenance.shifts
     noun = "shift" if shifts == 1 else "shifts"
     return Loaded(calibration, f"calibration {path}: learned over {shifts} {noun}", True)

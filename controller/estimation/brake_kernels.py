@@ -8,7 +8,7 @@ from meshpoint.controller.records import Vector
 
 
 @compiled
-def pressure_course(
+def pressure_trajectory(
     x: Vector, sample_us: Vector, switches: Vector, model: Vector, pressure_pa: Vector
 ) -> None:
     """Pressure at ascending times, the first of which is that of the state x (moved).

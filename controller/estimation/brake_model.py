@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.calibration.learned import BrakeRecord
-from meshpoint.controller.estimation.brake_kernels import pressure_course
+from meshpoint.controller.estimation.brake_kernels import pressure_trajectory
 from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.touch_and_lag import TouchAndLag, uncorrelated
 from meshpoint.controller.motion.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
@@ -58,7 +58,7 @@ QUIET: Final = np.zeros(4)
 
 LAG_TOLERANCE: Final = 1.5
 """Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
-told."""
+reported."""
 TOUCH_SD_PA: Final = 0.15e5
 
 
@@ -272,5 +272,5 @@ class BrakeModel:
         x = np.zeros(STATES)
         x[PRESSURE] = start_pa
         pressure = np.empty(sample_us.size)
-        pressure_course(x, sample_us, switches, model.flat, pressure)
+        pressure_trajectory(x, sample_us, switches, model.flat, pressure)
         return pressure

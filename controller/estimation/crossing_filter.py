@@ -61,11 +61,11 @@ class CrossingFilter:
         """Standard deviation of an edge's time from now on."""
         self._memory.part("edge_time_s")[0] = edge_time_s
 
-    def heed(self, share: float) -> None:
+    def noise_adaptation(self, share: float) -> None:
         """How fast the process noise follows the innovations from now on, a share an edge; with 0
         it is the model's."""
         memory = self._memory
-        memory.part("heed")[0], memory.part("restless")[0] = share, 1.0
+        memory.part("noise_adaptation")[0], memory.part("noise_scale")[0] = share, 1.0
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """Starts from a new state and covariance at a sensor time (us)."""
@@ -101,9 +101,9 @@ class CrossingFilter:
         """Sum and number of normalised squared innovations (NIS) since it was last cleared."""
         return self._memory.nis
 
-    def misfit(self, edges: int) -> float:
+    def deviance(self, edges: int) -> float:
         """Twice the negative logarithm of the likelihood of what was taken, but for a constant:
-        the innovations' squares over their variances, and the variances' logarithms. Of so many
+        the innovations' squares over their variances, and the variances' logarithms. Of this many
         edges one that the gate refused counts as if it were at the gate."""
         squares, count = self.nis.tolist()
         if count < (1.0 - MOST_REFUSED) * edges:

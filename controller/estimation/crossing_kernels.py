@@ -54,11 +54,11 @@ LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3
 """In a shorter step a change of the pressure law's segment is ignored: its fit has larger
 errors."""
-MOST_RESTLESS: Final = 1e4
+MOST_NOISE_SCALE: Final = 1e4
 """A hundred times the model's accelerations."""
 MOST_SWINGING: Final = 3
 """Edges refused in a row by which a shaft swings further than was thought; its modes are known, and
-each edge that is refused costs more of a swing than of a steady course."""
+each edge that is refused costs more of a swing than of a steady trajectory."""
 WIDER: Final = 10.0
 """A covariance is multiplied by this then."""
 LED_SHARE: Final = 0.2
@@ -113,7 +113,7 @@ def crossing_filter(
 
 @inlined
 def keep(f: Filter, words: int) -> None:
-    """Copies the present state, of so many words, into the ring of snapshots."""
+    """Copies the present state, of this many words, into the ring of snapshots."""
     for k in range(words):
         f.snapshots[f.next, k] = f.snapshot[k]
     f.next = (f.next + 1) % BATCHES_KEPT
@@ -135,7 +135,7 @@ def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> in
         if dt > SHORT_S:
             part = min(longest_in_segment(model, u, state.pressure_pa, dt), LONGEST_S)
         transition(state, part, u, model, step)
-        spread_over(f.p, part, step, model, state.gain, f.restless)
+        spread_over(f.p, part, step, model, state.gain, f.noise_scale)
         if teeth.shape[1] > 0:
             carry(teeth, step)
         if part < dt:
@@ -161,22 +161,22 @@ def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
 
 @inlined
 def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
-    """One edge into the filter of so many states; returns the innovation's variance, 0 where the
+    """One edge into the filter of this many states; returns the innovation's variance, 0 where the
     gate refused it. led: row of the steady acceleration that an unseen torque changes, or -1:
     there the whole covariance is widened instead."""
     p, omega = f.p, f.state.omega_rad_s
     sigma = omega * f.edge_time_s
     r = sigma * sigma + f.tooth_rad * f.tooth_rad
     square = innovation * innovation / (p[THETA, THETA] + r)
-    if f.heed > 0.0:
+    if f.noise_adaptation > 0.0:
         surprise = min(square, f.gate_sd * f.gate_sd) - 1.0
-        restless = f.restless * (1.0 + f.heed * surprise)
-        f.restless = min(max(restless, 1.0), MOST_RESTLESS)
+        noise_scale = f.noise_scale * (1.0 + f.noise_adaptation * surprise)
+        f.noise_scale = min(max(noise_scale, 1.0), MOST_NOISE_SCALE)
     if square > f.gate_sd * f.gate_sd:
         f.gated_in_a_row += 1
         if f.gated_in_a_row < (MOST_IN_A_ROW if led >= 0 else MOST_SWINGING):
             return 0.0
-        # So many refused in a row: the state is wrong, so its covariance is widened.
+        # This many refused in a row: the state is wrong, so its covariance is widened.
         widen(f, innovation, states, led)
     else:
         f.squares += square

@@ -30,7 +30,7 @@ class FilterSnapshot:
     state: MotionState
     p: Annotated[Vector, STATES, STATES]
     """Its covariance."""
-    restless: float
+    noise_scale: float
     """Process noise over that of the model, by the innovations lately."""
 
 
@@ -43,11 +43,12 @@ class Filter:
     time_us: float
     state: MotionState
     p: Annotated[Vector, STATES, STATES]
-    restless: float
+    noise_scale: float
 
     # Parameters.
-    heed: float
-    """How fast `restless` follows the innovations, a share an edge; 0: the model's noise holds."""
+    noise_adaptation: float
+    """How fast `noise scale` follows the innovations, a share an edge; 0: the model's noise
+    holds."""
     edge_time_s: float
     tooth_rad: float
     pressure_sd_pa: float
@@ -105,7 +106,7 @@ class FilterMemory(RecordMemory):
 
     def __init__(self, layout: Layout = FILTER) -> None:
         super().__init__(layout)
-        self.part("restless")[0] = 1.0
+        self.part("noise_scale")[0] = 1.0
 
     def _name_parts(self) -> None:
         self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")

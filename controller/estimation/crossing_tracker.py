@@ -17,7 +17,11 @@ from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeMotion, FreeRun
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.likelihood import prior, restored
-from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
+from meshpoint.controller.estimation.wheel_tracker import (
+    NOISE_ADAPTATION,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kernels import (
     DISTURBANCE,
@@ -177,7 +181,7 @@ class CrossingTracker(WheelTracker):
         self._in_gear.pause()
         tuning, known, state = self._tuning, self._known, self._filter
         state.forget_past()
-        state.heed(0.0)
+        state.noise_adaptation(0.0)
         gain_sd = math.hypot(known.gain.sd, tuning.gain_pause)
         drag_sd = math.hypot(known.drag_nm.sd, tuning.drag_pause_nm) / self._inertia_kgm2
         drag = known.drag_nm.value / self._inertia_kgm2
@@ -211,7 +215,7 @@ class CrossingTracker(WheelTracker):
             self._learn_noise()
             self._learn_friction(end_rad_s)
         # From here on the torque on the layshaft is unknown.
-        state.heed(HEED)
+        state.noise_adaptation(NOISE_ADAPTATION)
         follow = self._tuning.follow_rad_s2
         x[DISTURBANCE], x[DRAG] = 0.0, 0.0
         both = state.p[:2, :2].copy()

@@ -37,7 +37,7 @@ acceleration when a gear comes out (rad/s2), standard deviation of an edge's tim
 LEAST_EDGES: Final = 60
 """A window with fewer edges is not learned from."""
 MOST_SD: Final = 2.5
-"""A frequency is looked for within so many standard deviations."""
+"""A frequency is looked for within this many standard deviations."""
 START_SHARE: Final = 1.5
 """A gear comes out under another torque each time: how far the shaft swings then is taken to be so
 much more than what was learned."""
@@ -171,15 +171,15 @@ class DrivelineSwing:
         none, switches = Pressures(np.empty(0), np.empty(0)), np.empty((2, 0))
         run, count = CrossingFilter(self._tuning, MAIN_FILTER), window.edges.shape[1]
 
-        def misfit(logs: Sequence[float]) -> float:
+        def deviance(logs: Sequence[float]) -> float:
             run.set_edge_time(math.exp(logs[EDGE_TIME]) if teeth_known else edge_time.value)
             x, p = window.x.copy(), window.p.copy()
             self.start(x, p, logs)
             run.begin(window.time_us, x, p)
             run.take(window.edges, window.tooth_rad, none, switches, self._motion(logs))
-            return run.misfit(count)
+            return run.deviance(count)
 
-        found, _ = learn(known, misfit, (NATURAL,))
+        found, _ = learn(known, deviance, (NATURAL,))
         self._figures = found[:EDGE_TIME]
         self.motion = self._doubting()
         self.shifts += 1

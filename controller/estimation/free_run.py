@@ -95,22 +95,22 @@ class FreeRun:
         self, known: list[Learned], brake: BrakeModel, motion: FreeMotion
     ) -> list[Learned]:
         """What is known of an edge's time and of the disturbance's torque and memory after this
-        run. An edge's time cannot be told from tooth errors that are not known."""
+        run. An edge's time cannot be distinguished from tooth errors that are not known."""
         teeth_known, inertia = motion.teeth.learned, motion.inertia_kgm2
         edges, pressures = self._edges_by(motion.teeth), brake.above_touch(self.samples)
         law = motion.model.with_law(brake.law())
         given = known[0].log
 
-        def misfit(logs: Sequence[float]) -> float:
+        def deviance(logs: Sequence[float]) -> float:
             time_s = math.exp(logs[EDGE_TIME] if teeth_known else given)
             disturbance = Disturbance(math.exp(logs[TORQUE]), math.exp(logs[MEMORY]))
             p = self._p.copy()
             p[DISTURBANCE, DISTURBANCE] = (disturbance.torque_nm / inertia) ** 2
             model = law.with_disturbance(*disturbance.density(inertia))
             changed = motion._replace(model=model, edge_time_s=time_s)
-            return self._again(edges, pressures, changed, p).misfit(edges.shape[1])
+            return self._again(edges, pressures, changed, p).deviance(edges.shape[1])
 
-        found = learn(known, misfit).figures
+        found = learn(known, deviance).figures
         return found if teeth_known else [known[0], *found[1:]]
 
     def learn_friction(
@@ -130,8 +130,8 @@ class FreeRun:
             changed = motion._replace(model=law.with_friction(rate))
             return self._again(edges, pressures, changed, self._p, x)
 
-        found = learn([known], lambda logs: run(math.exp(logs[0])).misfit(edges.shape[1]))
-        if not math.isfinite(found.misfit):
+        found = learn([known], lambda logs: run(math.exp(logs[0])).deviance(edges.shape[1]))
+        if not math.isfinite(found.deviance):
             return known
         end = run(found.figures[0].value)
         brake.carry(end.x, end.p, motion.inertia_kgm2)

@@ -1,7 +1,7 @@
 """A driveline behind the gearbox: its figures by data sheet and as learned, and its first cloud.
 
 What the data sheet leaves open of a driveline is learned from window to window in neutral: each
-begins with a cloud of drivelines (`lash_cloud`) that are spread as far as that is not known yet.
+begins with a cloud of particles (`lash_cloud`) that are spread as far as that is not known yet.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 
 from meshpoint.controller.estimation.halton import even, normal
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
-from meshpoint.controller.motion.lash_course import Chance
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -31,6 +30,7 @@ from meshpoint.controller.motion.lash_motion import (
     WHEELS,
     LashModel,
 )
+from meshpoint.controller.motion.lash_trajectory import Chance
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import US
@@ -41,17 +41,19 @@ PRESSED: Final = 0.6
 """Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
 AROUND: Final = 1.15
 """the rest lies within the backlash and this much of its half beyond: flanks give way."""
-TOLD_SDS: Final = 2.0
-"""In gear a flank was pressed on, where the twist was beyond it by so many standard deviations;"""
-PRESSED_TOLD: Final = 0.9
+REPORTED_SDS: Final = 2.0
+"""In gear a flank was pressed on, where the twist was beyond it by this many standard
+deviations;"""
+PRESSED_REPORTED: Final = 0.9
 PRESSED_UNTOLD: Final = 0.5
 """so much of the first cloud lies where it was found in gear, with a flank pressed on, and else."""
 GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
 LEAST_DRAG: Final = 0.5
 """Drag is never less (rad/s2): it always slows a shaft down."""
 SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
-"""What one window tells of stiffness, loss, backlash and drag counts as no surer than this, in
-their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
+"""What one window says of stiffness, loss, backlash and drag counts as no surer than this, in
+their logarithms: a shaft that met no flank reports little, and its cloud does not know how
+little."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
 
@@ -74,7 +76,7 @@ class LashStart(NamedTuple):
     """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
 
 
-class VehicleCourse(NamedTuple):
+class VehicleTrajectory(NamedTuple):
     """What was known of the vehicle at a time, at the main shaft."""
 
     time_us: float
@@ -83,12 +85,12 @@ class VehicleCourse(NamedTuple):
     covariance: Vector
     """(2, 2)."""
 
-    def at(self, time_us: float) -> VehicleCourse:
+    def at(self, time_us: float) -> VehicleTrajectory:
         """The same at a later time."""
         wait_s = (time_us - self.time_us) * US
         moves = np.array(((1.0, wait_s), (0.0, 1.0)))
         speed, hill = self.speed_rad_s + wait_s * self.hill_rad_s2, self.hill_rad_s2
-        return VehicleCourse(time_us, speed, hill, moves @ self.covariance @ moves.T)
+        return VehicleTrajectory(time_us, speed, hill, moves @ self.covariance @ moves.T)
 
 
 class LashFigures(NamedTuple):
@@ -185,8 +187,8 @@ class Lash:
         twist, ratio = found[0], self.ratio
         beyond = twist - np.clip(twist, -half, half)
         way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
-        told = abs(mean[0]) - half > TOLD_SDS * math.sqrt(float(root[0] @ root[0]))
-        share = PRESSED_TOLD if told else PRESSED_UNTOLD
+        reported = abs(mean[0]) - half > REPORTED_SDS * math.sqrt(float(root[0] @ root[0]))
+        share = PRESSED_REPORTED if reported else PRESSED_UNTOLD
         x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
         x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
 
@@ -216,12 +218,12 @@ class Lash:
     def _tyre_per_s2(self) -> float:
         return self.axle.tyre_nm_rad / self.axle.wheels_kgm2
 
-    def learn(self, told: Callable[[int], tuple[float, float]]) -> None:
+    def learn(self, reported: Callable[[int], tuple[float, float]]) -> None:
         """Takes over what a window has shown: mean and standard deviation of the logarithm of a row
         of its cloud."""
         learned: list[float] = []
         for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
-            log, sd = told(row)
+            log, sd = reported(row)
             if not (math.isfinite(log) and math.isfinite(sd)):
                 return
             middle, most = self.prior[2 * k : 2 * k + 2]

@@ -1,16 +1,16 @@
-"""Where a driveline lies in its backlash: a cloud of drivelines, weighed by the edges.
+"""Where a driveline lies in its backlash: a cloud of particles, weighed by the edges.
 
 When a gear has come out it is not known where between its flanks the driveline lies, how wide the
 backlash is, nor how fast the vehicle is within some tenths. Each driveline of the cloud holds
 another answer to all of it; all move on (`motion/lash_motion`), and each edge weighs them by how
-well they foretold it. When few weigh most, the cloud is drawn anew around those (particle filter:
+well they predicted it. When few weigh most, the cloud is resampled around those (particle filter:
 Gordon, Salmond and Smith 1993; with a kernel for what does not move: Liu and West 2001). The
-shaft's own angle, speed and drag differ from those foretold by torques of chance: these three are
+shaft's own angle, speed and drag differ from those predicted by torques of chance: these three are
 estimated in each driveline by a Kalman filter, whose gain is the same for all (Rao and Blackwell;
 Doucet et al. 2000).
 
 There is no randomness in it: the first cloud is a low-discrepancy sequence (Halton 1960), and what
-is added to a cloud drawn anew are numbers that only look drawn (`halton.scattered_twice`).
+is added to a cloud resampled are numbers that only look drawn (`halton.scattered_twice`).
 """
 
 from __future__ import annotations
@@ -21,18 +21,17 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimation.cloud_redraw import SHARES, SPREAD, drawn, drawn_anew
-from meshpoint.controller.estimation.edge_looks import grouped_counts
+from meshpoint.controller.estimation.cloud_resampling import SHARES, SPREAD, drawn, resampled
+from meshpoint.controller.estimation.edge_measurements import grouped_counts
 from meshpoint.controller.estimation.halton import PRIMES, scattered_twice
 from meshpoint.controller.estimation.lash import (
     DRIVELINES,
     LEAST_DRAG,
     Lash,
     LashStart,
-    VehicleCourse,
+    VehicleTrajectory,
 )
 from meshpoint.controller.jit import bare
-from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -43,23 +42,25 @@ from meshpoint.controller.motion.lash_motion import (
     each,
     move,
 )
+from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
 FOLLOWED: Final = 240
-"""So many of them, by their weights, are followed ahead."""
-LOOK_US: Final = 4000.0
-"""Edges within this are taken together: one by itself tells little, and a shaft swings slowly."""
+"""This many of them, by their weights, are followed ahead."""
+MEASUREMENT_US: Final = 4000.0
+"""Edges within this are taken together: one by itself reports little, and a shaft swings slowly."""
 LEAST_SHARE: Final = 0.25
-"""The cloud is drawn anew when fewer than this share of it carries the weight."""
+"""The cloud is resampled when fewer than this share of it carries the weight."""
 MOST_OFF: Final = 4.0
 """An angle that is further off, in standard deviations, counts as so far off."""
-DOUBT_KEPT: Final = 0.9
-"""Weight of what was doubted before against a new look."""
+NIS_KEPT: Final = 0.9
+"""Weight of the mean normalised innovation squared so far, against a new one."""
 LOST: Final = 9.0
-"""A cloud that is so much doubted has lost the driveline: it begins anew"""
+"""A cloud whose mean normalised innovation squared is above this has lost the driveline: it begins
+anew"""
 RECENT: Final = 4
-"""from a line through so many looks."""
+"""from a line through this many measurements."""
 FIRST_OMEGA: Final = 2.0
 """Standard deviation (rad/s) of the speed when a gear comes out;"""
 FIRST_DRAG: Final = 0.5
@@ -75,7 +76,7 @@ class LashCloud:
         self._lash, self._start = lash, start
         self._begin(start)
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
-        """Times (us) and angles of the newest looks."""
+        """Times (us) and angles of the newest measurements."""
         self._model = lash.model(start.speed_rad_s)
         self._chance = lash.chance
         self._edge_time_s = edge_time_s
@@ -90,15 +91,15 @@ class LashCloud:
         """Those of the present logarithms, once they were asked for."""
         self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
         """Covariance of angle, speed and drag in each driveline."""
-        self._doubt = 1.0
+        self._nis = 1.0
         """Mean square of how far off the angles were, over how far the cloud let expect."""
 
     def _begin_anew(self) -> None:
-        """From the newest looks, wherever in the backlash: what was known of it has proved wrong
-        (sensor resetting, Lenser and Veloso 2000)."""
-        looks, start = np.array(self._recent), self._start
-        waits_s = (looks[:, 0] - self.time_us) * US
-        speed, angle = np.polyfit(waits_s, looks[:, 1], 1).tolist()
+        """From the newest measurements, wherever in the backlash: what was known of it has proved
+        wrong (sensor resetting, Lenser and Veloso 2000)."""
+        measurements, start = np.array(self._recent), self._start
+        waits_s = (measurements[:, 0] - self.time_us) * US
+        speed, angle = np.polyfit(waits_s, measurements[:, 1], 1).tolist()
         since_s = (self.time_us - start.time_us) * US
         vehicle = start.vehicle_rad_s + start.hill_rad_s2 * since_s
         # Either the shaft swings so fast, or the vehicle's speed was wrong.
@@ -133,12 +134,12 @@ class LashCloud:
         return float(self.weights @ self._x[row])
 
     @property
-    def vehicle(self) -> VehicleCourse:
-        """The vehicle as far as it is known, as unsure as the cloud is doubted."""
+    def vehicle(self) -> VehicleTrajectory:
+        """The vehicle as far as it is known, as unsure as the innovations show."""
         rows = self._x[[VEHICLE, HILL]]
         speed, hill = (rows @ self.weights).tolist()
         spread = np.cov(rows, aweights=self.weights, ddof=0)
-        return VehicleCourse(self.time_us, speed, hill, max(1.0, self._doubt) * spread)
+        return VehicleTrajectory(self.time_us, speed, hill, max(1.0, self._nis) * spread)
 
     def log_figure(self, row: int) -> tuple[float, float]:
         """Mean and standard deviation of a quantity's logarithm; not numbers where it has none."""
@@ -154,24 +155,24 @@ class LashCloud:
         edges = edges[:, edges[0] > self.time_us]
         if not edges.size:
             return
-        times, angles, count = grouped_counts(edges, LOOK_US)
+        times, angles, count = grouped_counts(edges, MEASUREMENT_US)
         jitter_rad = float(self._x[SPEED, 0]) * self._edge_time_s
         variances = (tooth_rad**2 + jitter_rad**2) / count
         for time_us, angle_rad, variance in zip(times, angles, variances, strict=True):
-            self._look((float(time_us) - self.time_us) * US, float(angle_rad), float(variance))
+            self._measure((float(time_us) - self.time_us) * US, float(angle_rad), float(variance))
             self.time_us = float(time_us)
             self._recent.append((self.time_us, float(angle_rad)))
-            if self._doubt > LOST and len(self._recent) == RECENT:
+            if self._nis > LOST and len(self._recent) == RECENT:
                 self._begin_anew()
 
-    def _look(self, seconds: float, angle_rad: float, variance: float) -> None:
+    def _measure(self, seconds: float, angle_rad: float, variance: float) -> None:
         x = self._x
         move(x, seconds, self._model)
         p = spread(self._p, seconds, self._chance.rad2_s3)
         whole = float(p[0, 0]) + variance
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
-        self._look_back(off, whole)
+        self._measurement_back(off, whole)
         correct(x, self._logs, off, gain, whole)
         self._weights = None
         self._p = p - np.outer(gain, p[0])
@@ -179,30 +180,30 @@ class LashCloud:
         if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES and self.is_alive:
             self._draw(weights)
 
-    def _look_back(self, off: Vector, variance: float) -> None:
+    def _measurement_back(self, off: Vector, variance: float) -> None:
         """Takes how far off the cloud was: one that has lost the driveline does not know it by
-        itself, because what is drawn anew is as narrow as the little that was left."""
+        itself, because what is resampled is as narrow as the little that was left."""
         weights = self.weights
         mean = float(weights @ off)
         expected = float(weights @ (off - mean) ** 2) + variance
-        self._doubt = DOUBT_KEPT * self._doubt + (1.0 - DOUBT_KEPT) * mean**2 / expected
+        self._nis = NIS_KEPT * self._nis + (1.0 - NIS_KEPT) * mean**2 / expected
 
     def _draw(self, weights: Vector) -> None:
         """Draws the cloud anew, each driveline as often as its weight says."""
         self._drawn += 1
         begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
         numbers = scattered_twice(DRIVELINES)[: len(SPREAD) + len(SHARES)]
-        self._x = drawn_anew(self._x, weights, numbers[:, begin : begin + DRIVELINES])
+        self._x = resampled(self._x, weights, numbers[:, begin : begin + DRIVELINES])
         self._logs[:], self._weights = 0.0, None
 
-    def course(self, half_gap_rad: float) -> LashCourse | None:
-        """The course from the newest edges on, told to half a gap; None where it is lost."""
+    def trajectory(self, half_gap_rad: float) -> LashTrajectory | None:
+        """The trajectory from the newest edges on, known to half a gap; None where it is lost."""
         if not self.is_alive:
             return None
         followed = np.take(self._x, drawn(self.weights, FOLLOWED), axis=1)
-        doubt = math.sqrt(max(1.0, self._doubt))
+        nis = math.sqrt(max(1.0, self._nis))
         own = (self._p, self._chance)
-        return LashCourse(followed, self._model, own, half_gap_rad, doubt)
+        return LashTrajectory(followed, self._model, own, half_gap_rad, nis)
 
 
 @bare

@@ -19,12 +19,12 @@ FORGET: Final = 0.8
 """Weight of earlier windows against a new one."""
 BELIEVED: Final = 5.0
 """Backlash is believed where it is likelier by e to half of this, and from then on"""
-DOUBTED: Final = 0.0
+DROPPED: Final = 0.0
 """until it is no likelier any more;"""
 LEAST_WINDOWS: Final = 3
 """not after the first two windows, in which the linear swing has little but its priors;"""
 MOST_A_WINDOW: Final = 8.0
-"""One window, in which a model lost the driveline, tells no more than this."""
+"""One window, in which a model lost the driveline, reports no more than this."""
 REJECTED: Final = -4.0
 """where it is this unlikely it is not even tried,"""
 RETRIED: Final = -3.0
@@ -94,15 +94,15 @@ class LashRivals:
         while self._open and self._open[0][0] <= edges[0, -1]:
             time_us, swing, lash = self._open.pop(0)
             angle = float(np.interp(time_us, edges[0], edges[1]))
-            self._window += _misfit(swing, angle, within_rad) - _misfit(lash, angle, within_rad)
+            self._window += _deviance(swing, angle, within_rad) - _deviance(lash, angle, within_rad)
 
     def end(self) -> None:
         """The window is over. Predictions overlap: those of one horizon count as one."""
         self._windows += 1
-        told = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
-        self._for_lash = max(LOWEST, FORGET * self._for_lash + told)
+        reported = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
+        self._for_lash = max(LOWEST, FORGET * self._for_lash + reported)
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
-        enough = self._for_lash > (DOUBTED if self._believed else BELIEVED)
+        enough = self._for_lash > (DROPPED if self._believed else BELIEVED)
         self._believed = self._windows >= LEAST_WINDOWS and enough
 
 
@@ -110,7 +110,7 @@ STEP_SHARE: Final = 20_000.0 / AHEAD_US
 """Time from one prediction to the next over the horizon."""
 
 
-def _misfit(predicted: Prediction, angle_rad: float, within_rad: float) -> float:
+def _deviance(predicted: Prediction, angle_rad: float, within_rad: float) -> float:
     """Minus twice the logarithm of the probability given to the angle within half a gap."""
     scale = 1.0 / (math.sqrt(2.0) * predicted.sd_rad)
     off = angle_rad - predicted.angle_rad

@@ -8,13 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimation.lash import LashStart, VehicleCourse
+from meshpoint.controller.estimation.lash import LashStart, VehicleTrajectory
 from meshpoint.controller.estimation.loaded_driveline import BehindState
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
 FIT_US: Final = 300_000.0
-"""The vehicle's course is that about which the shaft has swung in gear for so long."""
+"""The vehicle's trajectory is that about which the shaft has swung in gear for so long."""
 LEAST_FIT_US: Final = 150_000.0
 """Over less than this its speed is the shaft's as the gear comes out."""
 SWING_S: Final = 0.2
@@ -27,13 +27,13 @@ may make of it."""
 EDGE_RAD: Final = 2.5e-3
 """Standard deviation of an edge: teeth may not be learned yet."""
 BROAD: Final = 10.0
-"""Speeds may be so many times as far off as swings leave them."""
+"""Speeds may be this many times as far off as swings leave them."""
 KEPT_US: Final = 400_000.0
-"""What a window in neutral has told of the vehicle holds so long,"""
+"""What a window in neutral has shown of the vehicle holds so long,"""
 HILL_SHARE: Final = 0.1
 """and its acceleration no closer than to this share of what hills may make of it."""
 FIRST_EDGES: Final = 12
-"""A line through so many edges in neutral gives angle and speed at its start."""
+"""A line through this many edges in neutral gives angle and speed at its start."""
 
 
 class StartWatch:
@@ -45,7 +45,7 @@ class StartWatch:
         self._since_us = 0.0
         self._pressed_nm = 0.0
         self._behind: BehindState | None = None
-        self._vehicle: VehicleCourse | None = None
+        self._vehicle: VehicleTrajectory | None = None
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
 
@@ -61,8 +61,8 @@ class StartWatch:
         while seen[-1][0] - seen[0][0] > FIT_US:
             seen.popleft()
 
-    def take_vehicle(self, vehicle: VehicleCourse) -> None:
-        """A window in neutral has told how the vehicle goes."""
+    def take_vehicle(self, vehicle: VehicleTrajectory) -> None:
+        """A window in neutral has reported how the vehicle goes."""
         self._vehicle = vehicle
 
     def released(
@@ -93,12 +93,12 @@ class StartWatch:
         if before.shape[1] < 2 or before[0, -1] - before[0, 0] < LEAST_FIT_US:
             return start
         waits = (before[0] - self._since_us) * US
-        (speed, hill), covariance = vehicle_course(waits, before[1], vehicle_sds)
+        (speed, hill), covariance = vehicle_trajectory(waits, before[1], vehicle_sds)
         return _with_vehicle(start, speed, hill, covariance)
 
 
-def _kept(start: LashStart, vehicle: VehicleCourse, sds: tuple[float, float]) -> LashStart:
-    """The start with the vehicle as a window in neutral has told it."""
+def _kept(start: LashStart, vehicle: VehicleTrajectory, sds: tuple[float, float]) -> LashStart:
+    """The start with the vehicle as a window in neutral has reported it."""
     if not (np.isfinite(vehicle[1:3]).all() and np.isfinite(vehicle.covariance).all()):
         return start
     vehicle = vehicle.at(start.time_us)
@@ -113,15 +113,15 @@ def _with_vehicle(
     return start._replace(vehicle_rad_s=speed_rad_s, hill_rad_s2=hill_rad_s2, vehicle_root=root)
 
 
-def vehicle_course(
+def vehicle_trajectory(
     waits_s: Vector, angles_rad: Vector, sds: tuple[float, float]
 ) -> tuple[tuple[float, float], Vector]:
     """Speed (rad/s) and acceleration (rad/s2) of the vehicle at the time 0 of the waits, and their
     covariance, from the shaft's angles in gear.
 
-    The vehicle's course is one of the third degree, the shaft's swing about it a Gaussian process
-    (Rasmussen and Williams 2006, 2.7: parametric basis functions; Matern's kernel of 3/2). How
-    strong the swing is is not known: strengths are weighed by their likelihood."""
+    The vehicle's trajectory is one of the third degree, the shaft's swing about it a Gaussian
+    process (Rasmussen and Williams 2006, 2.7: parametric basis functions; Matern's kernel of 3/2).
+    How strong the swing is is not known: strengths are weighed by their likelihood."""
     speed_sd, hill_sd = sds
     apart = math.sqrt(3.0) * np.abs(waits_s[:, np.newaxis] - waits_s) / SWING_S
     swing, edge = (1.0 + apart) * np.exp(-apart), EDGE_RAD**2 * np.eye(waits_s.size)

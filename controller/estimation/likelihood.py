@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-Misfit = Callable[[Sequence[float]], float]
+Deviance = Callable[[Sequence[float]], float]
 """Sum of squared innovations over their variances and of their logarithms, with these figures'
 logarithms."""
 
@@ -57,10 +57,10 @@ def prior(typical: float, factor: float, range_: tuple[float, float], least_sd: 
 
 
 class Found(NamedTuple):
-    """Figures, and their misfit to what they were learned from."""
+    """Figures, and their deviance to what they were learned from."""
 
     figures: list[Learned]
-    misfit: float
+    deviance: float
 
 
 def restored(known: Learned, value: float, sd: float) -> Learned:
@@ -69,16 +69,16 @@ def restored(known: Learned, value: float, sd: float) -> Learned:
     return replace(known, log=log, sd=min(max(sd, known.least_sd), known.prior_sd))
 
 
-def learn(known: Sequence[Learned], misfit: Misfit, scanned: Sequence[int] = ()) -> Found:
-    """The figures after one more shift, and their misfit. `scanned`: those whose misfit may have
-    several minima; while they are not well known their whole ranges are looked at first."""
+def learn(known: Sequence[Learned], deviance: Deviance, scanned: Sequence[int] = ()) -> Found:
+    """The figures after one more shift, and their deviance. `scanned`: those whose deviance may
+    have several minima; while they are not well known their whole ranges are looked at first."""
     grown = [replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH))) for one in known]
     at = [one.log for one in grown]
     sds = [one.sd for one in grown]
 
     def total(logs: Sequence[float]) -> float:
         off = sum(((log - one.log) / one.sd) ** 2 for log, one in zip(logs, grown, strict=True))
-        found = misfit(logs) + off
+        found = deviance(logs) + off
         return found if math.isfinite(found) else math.inf
 
     least = total(at)
@@ -100,12 +100,12 @@ SCAN_SD: Final = 0.12
 SCAN_STEP: Final = 0.12
 MOST_SCANNED: Final = 17
 REFINED: Final = 3
-"""and this is the distance of two values looked at, 12 %, or so many values of it are; then so
+"""and this is the distance of two values looked at, 12 %, or this many values of it are; then this
 often more closely around the best."""
 
 
 def _scan(
-    at: list[float], least: float, scanned: list[int], known: Sequence[Learned], total: Misfit
+    at: list[float], least: float, scanned: list[int], known: Sequence[Learned], total: Deviance
 ) -> tuple[list[float], float]:
     """The best on a grid of the figures that are not known well yet."""
     grids = [_grid(known[k]) for k in scanned]
@@ -140,17 +140,17 @@ def _grid(one: Learned) -> list[float]:
 
 
 def _step(
-    at: list[float], least: float, k: int, one: Learned, total: Misfit
+    at: list[float], least: float, k: int, one: Learned, total: Deviance
 ) -> tuple[list[float], float, float]:
-    """The k-th figure to the minimum of the parabola: the figures, their misfit, and the k-th one's
-    standard deviation."""
+    """The k-th figure to the minimum of the parabola: the figures, their deviance, and the k-th
+    one's standard deviation."""
     reach = max(REACH * one.sd, LEAST_REACH)
     low, high = _with(at, k, at[k] - reach), _with(at, k, at[k] + reach)
     below, above = total(low), total(high)
     curvature = (below - 2.0 * least + above) / (reach * reach)
     if not math.isfinite(curvature):
         return at, least, one.sd
-    # A probe may lie beyond the figure's range: it tells the slope there, and is never taken.
+    # A probe may lie beyond the figure's range: it reports the slope there, and is never taken.
     inside = [probe for probe in ((low, below), (high, above))
               if one.least_log <= probe[0][k] <= one.most_log]  # fmt: skip
     best, found = min(((at, least), *inside), key=lambda tried: tried[1])

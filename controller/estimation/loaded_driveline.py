@@ -1,7 +1,7 @@
 """The driveline with a gear in mesh: what the shafts carry, and how fast the vehicle is.
 
 A Kalman filter over the layshaft's angles in gear, with the torque that the engine says it gives
-(`loaded_kernels`). When the gear comes out, it tells where the driveline begins its way through the
+(`loaded_kernels`). When the gear comes out, it says where the driveline begins its way through the
 backlash: the shafts' twist, the wheels, the tyres and the vehicle, which no sensor sees.
 """
 
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimation.edge_looks import grouped
+from meshpoint.controller.estimation.edge_measurements import grouped
 from meshpoint.controller.estimation.loaded_kernels import (
     GEAR,
     GEAR_SPEED,
@@ -31,25 +31,25 @@ from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import DriveGear, GearboxSheet
 from meshpoint.units import US
 
-LOOK_US: Final = 4000.0
-"""Edges within this are taken together, as in the cloud of drivelines."""
-FIRST_LOOKS: Final = 8
-"""A line through so many gives angle and speed at the start."""
+MEASUREMENT_US: Final = 4000.0
+"""Edges within this are taken together, as in the cloud of particles."""
+FIRST_MEASUREMENTS: Final = 8
+"""A line through this many gives angle and speed at the start."""
 LEAST_S: Final = 0.3
 """It says nothing before it has followed a gear for so long."""
 LATE_S: Final = 0.1
-"""Nor so long after its newest look."""
+"""Nor so long after its newest measurement."""
 LEAST_EDGES: Final = 4
 """Fewer of a shaft in a step say nothing of its speed."""
-LOOK_RAD: Final = math.radians(0.1)
-"""Standard deviation of a look at the gear, at the main shaft: it lies anywhere in the backlash of
-its mesh."""
+MEASUREMENT_RAD: Final = math.radians(0.1)
+"""Standard deviation of a measurement at the gear, at the main shaft: it lies anywhere in the
+backlash of its mesh."""
 MOST_OFF: Final = 4.0
-"""A look that is further off, in standard deviations, counts as so far off."""
+"""A measurement that is further off, in standard deviations, counts as so far off."""
 LOST: Final = 25.0
 """Mean square of how far off looks are, in variances, with which it has lost the driveline."""
-DOUBT_KEPT: Final = 0.9
-"""Weight of what was doubted before against a new look."""
+NIS_KEPT: Final = 0.9
+"""Weight of the mean normalised innovation squared so far, against a new one."""
 START_NM: Final = 1000.0
 """What the shafts may carry beyond what the engine says, before anything was seen."""
 START_RAD: Final = 0.02
@@ -69,8 +69,9 @@ FADING_SHARE: Final = 0.4
 0.82 m from a light to a heavy load (docs/gearbox.md)."""
 FADING_MEMORY_S: Final = 1.0
 """Error of that changes with load and slip within a ramp."""
-DOUBTED: Final = 1.5
-"""Variances count as so many times as large: stiffness and tyres differ from those of the sheet."""
+INFLATION: Final = 1.5
+"""Variances count as this many times as large: stiffness and tyres differ from those of the
+sheet."""
 
 BEHIND: Final = (TWIST, WHEELS, TYRE, VEHICLE, HILL)
 
@@ -120,11 +121,11 @@ class LoadedDriveline:
         self.lose()
 
     def lose(self) -> None:
-        """Teeth or times were lost: begins anew with the next looks."""
+        """Teeth or times were lost: begins anew with the next measurements."""
         self._first: list[tuple[float, float]] = []
         self._running, self._apart = False, math.nan
         self._time_us = self._began_us = 0.0
-        self._doubt = 1.0
+        self._nis = 1.0
 
     def take(
         self, gear: DriveGear | None, layshaft: Vector, main: Vector, load: Load, shafts: Shafts
@@ -142,11 +143,11 @@ class LoadedDriveline:
         tooth = _tooth_rad(edges, main[0], behind * main[1])
         self._apart = tooth if math.isnan(self._apart) else self._apart
         self._load(gear, load, shafts, tooth - self._apart)
-        for time_us, angle in zip(*grouped(edges, LOOK_US), strict=True):
+        for time_us, angle in zip(*grouped(edges, MEASUREMENT_US), strict=True):
             if not self._running:
                 self._begin(float(time_us), float(angle), gear, shafts)
             elif time_us > self._time_us:
-                self._look(float(time_us), float(angle), LOOK_RAD * behind)
+                self._measure(float(time_us), float(angle), MEASUREMENT_RAD * behind)
 
     def _load(self, gear: DriveGear, load: Load, shafts: Shafts, tooth_rad: float) -> None:
         """What the kernel takes as known in this step."""
@@ -188,13 +189,15 @@ class LoadedDriveline:
         )
 
     def _begin(self, time_us: float, angle: float, gear: DriveGear, shafts: Shafts) -> None:
-        """Collects the first looks, and starts from a line through them: the shafts may carry
-        anything, the vehicle may be anyone's of the sheet."""
+        """Collects the first measurements, and starts from a line through them: the shafts may
+        carry anything, the vehicle may be anyone's of the sheet."""
         self._first.append((time_us, angle))
-        if len(self._first) < FIRST_LOOKS:
+        if len(self._first) < FIRST_MEASUREMENTS:
             return
-        looks, axle = np.array(self._first), self._sheet.axle
-        speed, start = np.polyfit((looks[:, 0] - time_us) * US, looks[:, 1], 1).tolist()
+        measurements, axle = np.array(self._first), self._sheet.axle
+        speed, start = np.polyfit(
+            (measurements[:, 0] - time_us) * US, measurements[:, 1], 1
+        ).tolist()
         least, most = self._inverses
         x, self._p = self._x, np.zeros((LOADED_STATES, LOADED_STATES))
         x[:] = 0.0
@@ -208,16 +211,16 @@ class LoadedDriveline:
         sds[VEHICLE_INVERSE] = (most - least) / math.sqrt(12.0)
         self._p[np.diag_indices(LOADED_STATES)] = sds**2
         self._time_us = self._began_us = time_us
-        self._doubt, self._running = 1.0, True
+        self._nis, self._running = 1.0, True
 
-    def _look(self, time_us: float, angle: float, sd_rad: float) -> None:
+    def _measure(self, time_us: float, angle: float, sd_rad: float) -> None:
         x, p = self._x, self._p
         loaded_ahead(x, p, (time_us - self._time_us) * US, self._model)
         self._time_us = time_us
         off, variance = angle - x[GEAR], p[GEAR, GEAR] + sd_rad**2
         square = off * off / variance
-        self._doubt = DOUBT_KEPT * self._doubt + (1.0 - DOUBT_KEPT) * square
-        if not self._doubt < LOST:  # nor where it is no number
+        self._nis = NIS_KEPT * self._nis + (1.0 - NIS_KEPT) * square
+        if not self._nis < LOST:  # nor where it is no number
             self.lose()
             return
         gain = p[:, GEAR] / (variance * max(1.0, square / MOST_OFF**2))
@@ -227,14 +230,14 @@ class LoadedDriveline:
         x[VEHICLE_INVERSE] = min(max(x[VEHICLE_INVERSE], self._inverses[0]), self._inverses[1])
 
     def behind(self, time_us: float) -> BehindState | None:
-        """The driveline behind the gearbox at a time soon after the newest look; None where the
-        gear was not followed for long enough."""
+        """The driveline behind the gearbox at a time soon after the newest measurement; None where
+        the gear was not followed for long enough."""
         ahead_s, followed_s = (time_us - self._time_us) * US, (self._time_us - self._began_us) * US
         if not self._running or followed_s < LEAST_S or not 0.0 <= ahead_s < LATE_S:
             return None
         x, p, model = self._x.copy(), self._p.copy(), self._model
         loaded_ahead(x, p, ahead_s, model)
-        shared = DOUBTED * p[np.ix_(BEHIND, BEHIND)]
+        shared = INFLATION * p[np.ix_(BEHIND, BEHIND)]
         mean = x[list(BEHIND)]
         if not (np.isfinite(shared).all() and np.isfinite(mean).all()):
             return None  # eigh would raise

@@ -23,9 +23,13 @@ from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline, Shafts
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
+from meshpoint.controller.estimation.wheel_tracker import (
+    NOISE_ADAPTATION,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
 from meshpoint.controller.motion.kernels import OMEGA, THETA
-from meshpoint.controller.motion.lash_course import LashCourse
+from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, STEADY, SWING_STATES
 from meshpoint.controller.records import RecordMemory, Vector
@@ -81,8 +85,8 @@ class MainTracker(WheelTracker):
         self._before = StartWatch()
         self._cloud: LashCloud | None = None
         """The drivelines that may be, once the first edges in neutral have come."""
-        self._course: tuple[float, LashCourse | None] = (0.0, None)
-        """The newest edges' time and the course from then on."""
+        self._trajectory: tuple[float, LashTrajectory | None] = (0.0, None)
+        """The newest edges' time and the trajectory from then on."""
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
 
     def edges(self, batch: EdgeBatch) -> None:
@@ -115,14 +119,14 @@ class MainTracker(WheelTracker):
         asked = rivals.wants(state.time_us)
         if not (asked or rivals.believes_lash):
             return
-        course = self._cloud.course(self._half_gap_rad)
-        self._course = (self._cloud.time_us, course)
-        if asked and course is not None:
+        trajectory = self._cloud.trajectory(self._half_gap_rad)
+        self._trajectory = (self._cloud.time_us, trajectory)
+        if asked and trajectory is not None:
             wait_s = AHEAD_US * US
             x, p = Swing(state.x, state.p, self._motion).spread_ahead(wait_s)
             swing = Prediction(x.item(THETA), math.sqrt(max(0.0, p.item(THETA, THETA))))
             wait_s += (state.time_us - self._cloud.time_us) * US
-            other = Prediction(course.ahead(wait_s)[0], course.theta_sd_ahead(wait_s))
+            other = Prediction(trajectory.ahead(wait_s)[0], trajectory.theta_sd_ahead(wait_s))
             rivals.predict(state.time_us, swing, other)
 
     def take_edge_time(self, value_s: float, sd: float) -> None:
@@ -192,7 +196,7 @@ class MainTracker(WheelTracker):
         state, swing = self._filter, self._swings[range_]
         self._in_gear.pause()
         state.forget_past()
-        state.heed(0.0)
+        state.noise_adaptation(0.0)
         self._range, self._free = range_, True
         # The torque that the gear had before it came out may have moved the shaft in any way since
         # the last edges: a few new ones tell more than what the estimate was.
@@ -215,7 +219,7 @@ class MainTracker(WheelTracker):
         self._learn_teeth("main shaft", events)
         state = self._filter
         state.forget_past()
-        state.heed(HEED)
+        state.noise_adaptation(NOISE_ADAPTATION)
         state.x[2:], state.p[2:, :], state.p[:, 2:] = 0.0, 0.0, 0.0
         state.p[STEADY, STEADY] = self._tuning.main_start_rad_s2**2
         # The flank's impact changes the speed in a step.
@@ -231,7 +235,7 @@ class MainTracker(WheelTracker):
             self._before.take_vehicle(cloud.vehicle)
 
     def _let_cloud_go(self) -> None:
-        self._cloud, self._course = None, (0.0, None)
+        self._cloud, self._trajectory = None, (0.0, None)
 
     def _learn_swing(self) -> None:
         """The window's swing, and its teeth once more with what is known of the swing now."""
@@ -255,9 +259,9 @@ class MainTracker(WheelTracker):
         """The state at a time; None before enough edges, or without any for 60 ms."""
         if not self._fresh(time_us):
             return None
-        newest_us, course = self._course
-        if course is not None and self._has_lash:
-            return _by_lash(time_us, newest_us, course)
+        newest_us, trajectory = self._trajectory
+        if trajectory is not None and self._has_lash:
+            return _by_lash(time_us, newest_us, trajectory)
         state = self._filter
         motion = self._motion
         newest = Swing(state.x, state.p, motion)
@@ -275,9 +279,9 @@ class MainTracker(WheelTracker):
         return np.zeros(SWING_STATES), p
 
 
-def _by_lash(time_us: float, newest_us: float, course: LashCourse) -> ShaftState:
-    """The state by the cloud of drivelines."""
-    later = course.after((time_us - newest_us) * US)
+def _by_lash(time_us: float, newest_us: float, trajectory: LashTrajectory) -> ShaftState:
+    """The state by the cloud of particles."""
+    later = trajectory.after((time_us - newest_us) * US)
     theta, omega = later.ahead(0.0)
-    sds = later.theta_sd_ahead(0.0), course.speed_sd_rad_s
-    return ShaftState(time_us, theta, omega, *sds, course.hill_rad_s2, later)
+    sds = later.theta_sd_ahead(0.0), trajectory.speed_sd_rad_s
+    return ShaftState(time_us, theta, omega, *sds, trajectory.hill_rad_s2, later)

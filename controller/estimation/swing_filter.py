@@ -67,7 +67,7 @@ def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
     dt, step = (to_us - f.time_us) * US, f.step
     swing_step(dt, f.model, step)
     swing_on(f.state, step)
-    swing_spread(f.p, dt, step, f.model, f.restless)
+    swing_spread(f.p, dt, step, f.model, f.noise_scale)
     if teeth.shape[1] > 0:
         carry_swing(teeth, step)
     f.time_us = to_us

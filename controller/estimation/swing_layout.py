@@ -21,7 +21,7 @@ class SwingSnapshot:
     time_us: float
     state: SwingState
     p: Annotated[Vector, SWING_STATES, SWING_STATES]
-    restless: float
+    noise_scale: float
 
 
 SWING_SNAPSHOT_WORDS: Final = layout_of(SwingSnapshot).itemsize // WORD_BYTES
@@ -34,10 +34,10 @@ class SwingFilter:
     time_us: float
     state: SwingState
     p: Annotated[Vector, SWING_STATES, SWING_STATES]
-    restless: float
+    noise_scale: float
 
     # Parameters.
-    heed: float
+    noise_adaptation: float
     edge_time_s: float
     tooth_rad: float
     pressure_sd_pa: float

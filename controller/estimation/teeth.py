@@ -202,7 +202,7 @@ class WheelTeeth:
 
     def take(self, window: PatternEquations) -> str | None:
         """Learns from a window, or forgets. Returns a line for the log."""
-        if self._best_misfit(window) > UNLIKE_MODEL:
+        if self._best_deviance(window) > UNLIKE_MODEL:
             return None
         if self.learned and self._is_a_stranger_s(window):
             self._strangers += 1
@@ -219,7 +219,7 @@ class WheelTeeth:
         line = self._solve()
         return line if self.memory is None else self._compare(self.memory) or line
 
-    def look(self) -> bool:
+    def measure(self) -> bool:
         """Compares the running window with the memory, once a turn of the wheel.
 
         True where the teeth have just been found again."""
@@ -297,15 +297,15 @@ class WheelTeeth:
         if self._untold < WINDOWS_TO_TELL:
             return None
         self.memory = None
-        return "teeth cannot be told apart: their old numbers stay unknown"
+        return "teeth cannot be determined apart: their old numbers stay unknown"
 
     def _is_a_stranger_s(self, window: PatternEquations) -> bool:
         """Whether a window was made by another wheel: the learned errors explain it badly, and no
         better than a wheel without errors would."""
-        misfit = self._misfit(window)
-        return misfit > DISAGREES and misfit > window.squares / window.edges
+        deviance = self._deviance(window)
+        return deviance > DISAGREES and deviance > window.squares / window.edges
 
-    def _best_misfit(self, window: PatternEquations) -> float:
+    def _best_deviance(self, window: PatternEquations) -> float:
         """Squared residuals a window has, over their expectation, with the errors that suit it
         best; infinite where it has no solution."""
         prior = (LARGEST_SD * self._unlearned_sd_rad) ** -2
@@ -313,7 +313,7 @@ class WheelTeeth:
         squares = window.squares - float(window.right @ covariance @ window.right)
         return squares / window.edges if math.isfinite(squares) else math.inf
 
-    def _misfit(self, window: PatternEquations) -> float:
+    def _deviance(self, window: PatternEquations) -> float:
         e = self.error_rad
         squares = window.squares - 2.0 * float(e @ window.right)
         return (squares + float(e @ window.normal @ e)) / window.edges

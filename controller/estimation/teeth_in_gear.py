@@ -33,11 +33,11 @@ from meshpoint.controller.settings import MS_IN_US, CrossingFilterTuning
 from meshpoint.units import US
 
 TURNS: Final = 3
-"""A window is so many turns: as many as tell what comes back with each from what does not."""
+"""A window is this many turns: as many as tell what comes back with each from what does not."""
 LONGEST_GAP_US: Final = 60 * MS_IN_US
 """A shaft with a longer time from edge to edge is too slow, or not all of its edges came."""
 MOST_WINDOWS: Final = 6
-"""So many windows are taken in one stretch;"""
+"""This many windows are taken in one stretch;"""
 KNOWN_SD_RAD: Final = math.radians(0.03)
 """of teeth known so well one, with the figures as they are."""
 EDGE_TIME, ACCELERATION = range(2)
@@ -70,7 +70,7 @@ class TeethInGear:
         """Those of this stretch."""
 
     def lose(self) -> None:
-        """Edges were lost: what has been gathered is let go."""
+        """Edges were lost: what has been gathered is released."""
         self.pause()
         self._windows.clear()
 
@@ -124,9 +124,9 @@ class TeethInGear:
         figure, factor = self._tries.pop(0)
         tried, (low, high) = list(self._best), RANGES[figure]
         tried[figure] = min(max(factor * self.figures[figure], low), high)
-        misfit = self._misfit(edges, tried)
-        if misfit < self._least:
-            self._best, self._least = tried, misfit
+        deviance = self._deviance(edges, tried)
+        if deviance < self._least:
+            self._best, self._least = tried, deviance
 
     def _run(self, edges: Vector, figures: Sequence[float]) -> None:
         """The window's equations with these figures."""
@@ -142,7 +142,7 @@ class TeethInGear:
         motion = following_motion(acceleration, tuning.follow_s, WALK_RAD_S2)
         learner.take_all(edges[:2], place.astype(np.int64), motion)
 
-    def _misfit(self, edges: Vector, figures: Sequence[float]) -> float:
+    def _deviance(self, edges: Vector, figures: Sequence[float]) -> float:
         """Twice the negative logarithm of the edges' likelihood whatever the teeth are."""
         self._run(edges, figures)
         window = self._learner.so_far()

@@ -23,10 +23,11 @@ from meshpoint.controller.records import Vector
 MARGIN: Final = 30.0
 """By how much J of the best turn must lead: a likelihood ratio of e^15, some 3 million to 1."""
 FITS: Final = 1.8
-"""Largest misfit (J less that of the best free pattern, for each edge) of the same wheel: expected
-1 +- 0.15 for 45 teeth, measured 0.96 to 1.27. With few edges another wheel can come down to 2."""
+"""Largest deviance (J less that of the best free pattern, for each edge) of the same wheel:
+expected 1 +- 0.15 for 45 teeth, measured 0.96 to 1.27. With few edges another wheel can come down
+to 2."""
 STRANGER: Final = 4.0
-"""Above this misfit it is another wheel; in between, more edges are needed."""
+"""Above this deviance it is another wheel; in between, more edges are needed."""
 AGED_RAD: Final = math.radians(0.01)
 """How much an edge's error may have changed since it was learned, for instance with temperature."""
 LEAST_TURNS: Final = 2.0
@@ -65,18 +66,18 @@ class PatternMatch(NamedTuple):
     """Remembered tooth number less present one, of the likeliest turn."""
     margin: float
     """How far J of the second likeliest lies above."""
-    misfit: float
+    deviance: float
     """Of the likeliest, an edge: about 1 where it is the same wheel."""
 
     @property
     def certain(self) -> bool:
         """Whether the numbering is known again."""
-        return self.misfit <= FITS and self.margin >= MARGIN
+        return self.deviance <= FITS and self.margin >= MARGIN
 
     @property
     def stranger(self) -> bool:
         """Whether no turn of the remembered pattern fits."""
-        return self.misfit > STRANGER
+        return self.deviance > STRANGER
 
 
 def turned(error_rad: Vector, teeth: int) -> Vector:

@@ -1,7 +1,7 @@
 """Touch pressure of the brake's pads and lag of its sensor, which are learned together.
 
 A brake whose torque ends sooner than its measured pressure says has pads that touch late, or a
-sensor that is late: one shift hardly tells which. Learned one after the other, the first to be
+sensor that is late: one shift hardly says which. Learned one after the other, the first to be
 fitted takes the whole difference and is believed. So both are carried with their covariance, as an
 extended Kalman filter whose steps are shifts.
 """
@@ -46,8 +46,8 @@ def uncorrelated(touch: tuple[float, float], lag: tuple[float, float]) -> TouchA
     return TouchAndLag(np.array(means), np.diag(sds) ** 2)
 
 
-def best_of(misfit: Callable[[float, float], float], known: TouchAndLag) -> TouchAndLag:
-    """What is known after a shift in which `misfit(touch_pa, lag_s)` is the sum of normalised
+def best_of(deviance: Callable[[float, float], float], known: TouchAndLag) -> TouchAndLag:
+    """What is known after a shift in which `deviance(touch_pa, lag_s)` is the sum of normalised
     innovation squares, so minus twice a log-likelihood: the minimum of the paraboloid through six
     probes and of what was known, by Gauss and Newton. While the minimum lies further away than the
     probes are to be believed, values move towards it and their covariance stays."""
@@ -55,12 +55,12 @@ def best_of(misfit: Callable[[float, float], float], known: TouchAndLag) -> Touc
     at, left = known.mean, prior
     for _ in range(MOST_ROUNDS):
         centre = np.maximum(at, [PROBE[0], 0.0])
-        gradient, curvature = _paraboloid(misfit, centre)
+        gradient, curvature = _paraboloid(deviance, centre)
         if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
             break
-        slope, told = gradient / (2.0 * CAUTION**2), _told(curvature) / (2.0 * CAUTION**2)
+        slope, reported = gradient / (2.0 * CAUTION**2), _reported(curvature) / (2.0 * CAUTION**2)
         # (P^-1 + A) d = P^-1 (m - c) - b, times P: a figure that is known for certain has no P^-1.
-        weight = np.eye(2) + prior @ told
+        weight = np.eye(2) + prior @ reported
         step = np.linalg.solve(weight, known.mean - centre - prior @ slope)
         share = min(1.0, float(np.min(MOST_STEP / np.maximum(np.abs(step), 1e-12))))
         at = np.clip(centre + share * step, 0.0, [MOST_TOUCH_PA, MOST_LAG_S])
@@ -70,14 +70,14 @@ def best_of(misfit: Callable[[float, float], float], known: TouchAndLag) -> Touc
     return TouchAndLag(at, (left + left.T) / 2.0)
 
 
-def _paraboloid(misfit: Callable[[float, float], float], at: Vector) -> tuple[Vector, Vector]:
+def _paraboloid(deviance: Callable[[float, float], float], at: Vector) -> tuple[Vector, Vector]:
     """Gradient (2,) and second derivatives (2, 2) by differences."""
     touch_pa, lag_s = at.tolist()
     probe_pa, probe_s = PROBE.tolist()
-    middle = misfit(touch_pa, lag_s)
-    more_pa, less_pa = misfit(touch_pa + probe_pa, lag_s), misfit(touch_pa - probe_pa, lag_s)
-    more_s, less_s = misfit(touch_pa, lag_s + probe_s), misfit(touch_pa, lag_s - probe_s)
-    both = misfit(touch_pa + probe_pa, lag_s + probe_s)
+    middle = deviance(touch_pa, lag_s)
+    more_pa, less_pa = deviance(touch_pa + probe_pa, lag_s), deviance(touch_pa - probe_pa, lag_s)
+    more_s, less_s = deviance(touch_pa, lag_s + probe_s), deviance(touch_pa, lag_s - probe_s)
+    both = deviance(touch_pa + probe_pa, lag_s + probe_s)
     gradient = np.array([more_pa - less_pa, more_s - less_s]) / (2.0 * PROBE)
     mixed = (both - more_pa - more_s + middle) / (probe_pa * probe_s)
     bend_pa = (more_pa - 2.0 * middle + less_pa) / probe_pa**2
@@ -85,8 +85,8 @@ def _paraboloid(misfit: Callable[[float, float], float], at: Vector) -> tuple[Ve
     return gradient, np.array([[bend_pa, mixed], [mixed, bend_s]])
 
 
-def _told(curvature: Vector) -> Vector:
-    """The nearest curvature that is none downwards: a saddle tells nothing along its fall."""
+def _reported(curvature: Vector) -> Vector:
+    """The nearest curvature that is none downwards: a saddle says nothing along its fall."""
     scaled = curvature * np.outer(PROBE, PROBE)
     values, vectors = np.linalg.eigh(scaled)
     upright: Vector = (vectors * np.maximum(values, 0.0)) @ vectors.T

@@ -23,7 +23,7 @@ LEAST_RAD_S: Final = 1.0
 STRUCK_RAD_S: Final = 5.0
 """Standard deviation of the step that a flank's impact makes in a shaft's speed (48 rpm)."""
 
-HEED: Final = 0.1
+NOISE_ADAPTATION: Final = 0.1
 """How fast the process noise of a shaft with a gear in mesh follows the innovations, a share an
 edge: what drives it then is not known, and an impact is over within some edges."""
 
@@ -82,7 +82,7 @@ class WheelTracker(ABC):
         self._filter.take(edges, teeth.sd_rad, pressures, switches, model)
         if teeth.learner.running:
             teeth.learner.take(batch, place, pressures, switches, self._teeth_motion(model))
-            if teeth.look():
+            if teeth.measure():
                 self._teeth_found()
                 self.placed = teeth.edges(batch, place)
 
@@ -114,7 +114,7 @@ class WheelTracker(ABC):
         x, p = self._first_state(0.05 * abs(omega) + 1.0)
         x[THETA], x[OMEGA] = newest[1], omega
         self._filter.begin(newest[0], x, p)
-        self._filter.heed(HEED)
+        self._filter.noise_adaptation(NOISE_ADAPTATION)
         self._running = True
 
     @abstractmethod

@@ -196,7 +196,7 @@ class Case(NamedTuple):
 
     def is_parted(self, from_us: float) -> bool:
         """Whether the clutch's plates are surely apart at a time, and will be as long as nothing
-        can be taken back."""
+        can be withdrawn."""
         until_us = max(from_us, self.seen.now_us + REACT_US)
         farthest = max(self.clutch_at(from_us), self.clutch_at(until_us))
         return farthest <= self.limits.clutch_open_share

@@ -1,8 +1,8 @@
 """The guard over clutch and engine: reads the finished ClutchCommand and TSC1 frames with its own
 decode and passes them or says which row forbids them.
 
-What stands in their place is the safe one: a clutch told to open, an engine asked for nothing. An
-open clutch is always allowed, and so is the end of an engine request.
+What stands in their place is the safe one: a clutch commanded to open, an engine asked for nothing.
+An open clutch is always allowed, and so is the end of an engine request.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TORQUE_OFFSET: Final = 125
 PER_CENT: Final = 0.01
 TORQUE_NOISE: Final = 1.5 * PER_CENT
 """A step of the signal, and half a one for rounding."""
-ENGINE_LOOKS: Final = 6
+ENGINE_MEASUREMENTS: Final = 6
 """The engine's acceleration is taken over its last 50 ms,"""
 ACCELERATION_NOISE_RAD_S2: Final = 3.0
 """with this error: the combustion's ripple, and what changes within that time."""
@@ -76,11 +76,13 @@ class DrivelineState:
     is_closed: bool = False
     """It has been seen closed since."""
     credits: float = 0.0
-    """So many closings are allowed before a sleeve has to move."""
+    """This many closings are allowed before a sleeve has to move."""
     sides: tuple[int, ...] = ()
     """The end each sleeve was last seen in."""
     judged_us: int | None = None
-    engine: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=ENGINE_LOOKS))
+    engine: deque[tuple[int, float]] = field(
+        default_factory=lambda: deque(maxlen=ENGINE_MEASUREMENTS)
+    )
     """The engine's newest speeds and when they were read; none while one is missing."""
     own_share: tuple[float, float] = (-math.inf, math.inf)
     """The least that the engine has pushed and pulled since its torque is taken away."""
@@ -173,10 +175,13 @@ def _takes_torque_away(case: DrivelineCase) -> bool:
 def _turning_share(case: DrivelineCase) -> tuple[float, float]:
     """The least and the most torque that changes the engine's speed as it has changed of late, as a
     share of its reference torque; none where its speed is not known for long enough."""
-    looks, limits = case.state.engine, case.limits
-    if len(looks) < ENGINE_LOOKS or case.seen.clutch_closed <= limits.clutch_open_share:
+    measurements, limits = case.state.engine, case.limits
+    if (
+        len(measurements) < ENGINE_MEASUREMENTS
+        or case.seen.clutch_closed <= limits.clutch_open_share
+    ):
         return 0.0, 0.0
-    (first_us, first), (last_us, last) = looks[0], looks[-1]
+    (first_us, first), (last_us, last) = measurements[0], measurements[-1]
     rate = (last - first) / max(1, last_us - first_us) * 1e6
     inertia, noise = limits.engine_share_s2, ACCELERATION_NOISE_RAD_S2
     if abs(rate) <= noise:
@@ -259,12 +264,12 @@ class DrivelineGuard:
 
     def _note_engine(self, seen: GuardInputs) -> None:
         """The speed at each step of a request; anew after a pause."""
-        looks = self._state.engine
-        pause_us = seen.now_us - looks[-1][0] if looks else 0
+        measurements = self._state.engine
+        pause_us = seen.now_us - measurements[-1][0] if measurements else 0
         if seen.engine_rad_s is None or not 0 <= pause_us <= 2 * self._limits.tick_us:
-            looks.clear()
-        if seen.engine_rad_s is not None and not (looks and pause_us == 0):
-            looks.append((seen.now_us, seen.engine_rad_s))
+            measurements.clear()
+        if seen.engine_rad_s is not None and not (measurements and pause_us == 0):
+            measurements.append((seen.now_us, seen.engine_rad_s))
 
     def _judge(self, rows: tuple[DrivelineRow, ...], case: DrivelineCase) -> int | None:
         for row in rows:

@@ -13,7 +13,7 @@ from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
 from meshpoint.units import TURN
 
 FREE_PITCHES: Final = 2.0
-"""Turned by so many pitches of the dog teeth, a gear is free of its sleeve: a pitch is more than
+"""Turned by this many pitches of the dog teeth, a gear is free of its sleeve: a pitch is more than
 all backlash in between, another one more than the angle may be wrong by."""
 
 

@@ -1,4 +1,4 @@
-"""Row 3 at the last moment at which a sleeve that has been fired can be taken back.
+"""Row 3 at the last moment at which a sleeve that has been fired can be withdrawn.
 
 Before it, a firing is forbidden only if no contact can come right: it is judged again. From then on
 nothing can be mended, so it has to come right whatever the shafts may do until contact.

@@ -96,7 +96,7 @@ class GuardLimits:
     tick_us: int
     """From one step to the next."""
     closings: int
-    """So often the clutch may close without a sleeve being moved in between."""
+    """This often the clutch may close without a sleeve being moved in between."""
     closing_again_us: int
     """After so long it may close once more, moved or not."""
     request_us: int

@@ -46,9 +46,9 @@ LARGEST_STEP: Final = 2
 """One frame may be lost between two that are believed."""
 WINDOW_MASK: Final = (1 << 10) - 1
 MOST_BAD: Final = 2
-"""Of the last ten frames so many may have a wrong CRC, counter or value."""
+"""Of the last ten frames this many may have a wrong CRC, counter or value."""
 GOOD_TO_BEGIN: Final = 3
-"""So many good ones in a row make a channel valid."""
+"""This many good ones in a row make a channel valid."""
 SILENT_US: Final = 40_000
 """A channel not heard for four cycles is lost. With the tick that notices it, within 50 ms."""
 
@@ -67,7 +67,7 @@ POSITION_STEPS: Final = 20_000
 OVER_SAMPLES: Final = 3
 SAMPLE_S: Final = 1e-3
 OVER_SPAN_S: Final = OVER_SAMPLES * SAMPLE_S
-"""A sleeve's speed is taken over so many samples of 1 ms."""
+"""A sleeve's speed is taken over this many samples of 1 ms."""
 ENGINE_AT, ENGINE_STEP_RAD_S = 3, 0.125 * math.pi / 30.0
 TORQUE_AT, TORQUE_OFFSET, TORQUE_STEPS = 2, 125, 0xFA
 ENGINE_STEPS: Final = 0xFAFF

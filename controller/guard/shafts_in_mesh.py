@@ -24,7 +24,7 @@ SLACK_SHARE: Final = 0.02
 """And by this share of the count: the speed may change while one wheel's newest edge is waited
 for."""
 WHOLE_TEETH: Final = 150.0
-"""Over so many teeth of the slower wheel without a contradiction the counts agree; a wheel that
+"""Over this many teeth of the slower wheel without a contradiction the counts agree; a wheel that
 reads wrong by less than 3.3 % is not found."""
 AGAIN_US: Final = 1_000_000
 """After a contradiction they have to agree for at least this time as well."""

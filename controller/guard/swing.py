@@ -15,7 +15,7 @@ from meshpoint.controller.guard.own_speed import ShaftSpeed
 PERIOD_US: Final = 180_000
 """In so long a driveline in neutral has swung to both its ends, and as fast as it does."""
 RATE_SPEEDS: Final = 2
-"""A rate is taken from a speed and the one so many before it: over 20 ms, since neighbouring ones
+"""A rate is taken from a speed and the one this many before it: over 20 ms, since neighbouring ones
 are measured over teeth that they share."""
 RATE_GAP_US: Final = 40_000
 """Speeds further apart say nothing of a rate: a quarter of a period lies between."""

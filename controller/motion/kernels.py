@@ -188,10 +188,10 @@ def transition(state: MotionState, dt: float, u: int, model: Model, step: Motion
 
 @inlined
 def spread_over(
-    p: Vector, dt: float, step: MotionStep, model: Model, gain: float, restless: float
+    p: Vector, dt: float, step: MotionStep, model: Model, gain: float, noise_scale: float
 ) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; step: that of
-    `transition` over the same time; gain: that of the brake; restless: what the noises of the
+    `transition` over the same time; gain: that of the brake; noise scale: what the noises of the
     accelerations are multiplied by.
 
     Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt)
@@ -218,7 +218,7 @@ def spread_over(
     v3 = b1 * p13 + b2 * p23 + b3 * p33 + b4 * p34 + b5 * p35
     v4 = b1 * p14 + b2 * p24 + b3 * p34 + b4 * p44 + b5 * p45
     v5 = b1 * p15 + b2 * p25 + b3 * p35 + b4 * p45 + b5 * p55
-    q_d, q_s = restless * model.disturbance_rad2_s5, restless * model.drag_rad2_s5
+    q_d, q_s = noise_scale * model.disturbance_rad2_s5, noise_scale * model.drag_rad2_s5
     q_p = model.pressure_pa2_s
     # What a kick at the step's start has made of theta (a2, a3, a5) and omega (b2, b3, b5) by its
     # end, integrated over the step; a kick of pressure fades to e_p, one of disturbance to e_d.

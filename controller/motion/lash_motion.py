@@ -35,7 +35,7 @@ ROWS: Final = 12
 LONGEST_S: Final = 1.3e-3
 """A step is no longer: the shafts' mode turns by 0.37 rad in it at 45 Hz."""
 MOST_LOSS: Final = 10.0
-"""A flank pushes no harder than so many times its spring. From 1 + c b' = 2.5 on, the law gives
+"""A flank pushes no harder than this many times its spring. From 1 + c b' = 2.5 on, the law gives
 nothing back of an impact (restitution 1 - 2 c b' / 3), and means no more; with this limit a step
 stays stable however hard a driveline falls onto a flank."""
 

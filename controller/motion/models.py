@@ -47,7 +47,7 @@ class LayshaftState(NamedTuple):
     covariance: Vector | None = None
     """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
     edge_rad2_s: float = 0.0
-    """Variance of an edge's angle times the time from edge to edge, where the estimator tells."""
+    """Variance of an edge's angle times the time from edge to edge, where the estimator reports."""
 
     @property
     def is_finite(self) -> bool:
@@ -198,7 +198,7 @@ class Ticks(NamedTuple):
     horizon_us: float
     """From a tick to the time that is predicted."""
     tick_us: float
-    looks: int
+    measurements: int
 
 
 def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionModel) -> Vector:
@@ -206,8 +206,8 @@ def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionM
     edges. The state must have a covariance."""
     if state.covariance is None:
         raise ValueError("the estimator of this state has no covariance")
-    horizon_us, tick_us, looks = ticks
-    found = np.empty(looks)
+    horizon_us, tick_us, measurements = ticks
+    found = np.empty(measurements)
     heard = state.edge_rad2_s / (tick_us * US)
     times = np.array((state.time_us, horizon_us, tick_us, heard), dtype=np.float64)
     settling(state.vector, state.covariance.copy(), times, switches, model.flat, found)

@@ -8,13 +8,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.motion.lash_course import LashCourse
+from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.motion.swing_kernels import (
     FIRST_MODE,
     SWING_MODEL,
     swing_ahead,
-    swing_course,
     swing_outlook,
+    swing_trajectory,
 )
 from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.units import US
@@ -24,7 +24,7 @@ OUTLOOK_US: Final = 10_000.0
 
 
 def ticks_over(step_us: float, count: int) -> int:
-    """Ticks of `OUTLOOK_US` that so many steps of time lie between."""
+    """Ticks of `OUTLOOK_US` that this many steps of time lie between."""
     return 2 + int(step_us * max(1, count - 1) // OUTLOOK_US)
 
 
@@ -70,7 +70,7 @@ class Swing(NamedTuple):
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""
         found = np.empty((2, 1))
-        swing_course(self.x, self.model.flat, wait_s, 0.0, found)
+        swing_trajectory(self.x, self.model.flat, wait_s, 0.0, found)
         return float(found[0, 0]), float(found[1, 0])
 
     def spread_ahead(self, wait_s: float) -> tuple[Vector, Vector]:
@@ -92,10 +92,10 @@ class Swing(NamedTuple):
         swing_outlook(self.x, self.p, self.model.flat, edges, found)
         return found
 
-    def course(self, wait_s: float, step_s: float, found: Vector) -> None:
+    def trajectory(self, wait_s: float, step_s: float, found: Vector) -> None:
         """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
         (2, n)."""
-        swing_course(self.x, self.model.flat, wait_s, step_s, found)
+        swing_trajectory(self.x, self.model.flat, wait_s, step_s, found)
 
 
 class ShaftState(NamedTuple):
@@ -108,14 +108,14 @@ class ShaftState(NamedTuple):
     omega_sd_rad_s: float
     acceleration_rad_s2: float = 0.0
     """Without its swing. Zero where it is not estimated: speed held (4.16)."""
-    swing: Swing | LashCourse | None = None
+    swing: Swing | LashTrajectory | None = None
     """How it swings, where the estimator knows that."""
 
     @property
     def is_by_cloud(self) -> bool:
-        """Whether a cloud of drivelines tells it: its deviations are whole then, and what it is off
+        """Whether a cloud of particles says it: its deviations are whole then, and what it is off
         by is a flank that was met or not."""
-        return isinstance(self.swing, LashCourse)
+        return isinstance(self.swing, LashTrajectory)
 
     def theta_at(self, time_us: float) -> float:
         """The angle at another time: the swing goes on; without one, acceleration held."""
@@ -153,11 +153,11 @@ class ShaftState(NamedTuple):
         found = self.swing.outlook(horizon_s, OUTLOOK_US * US, ticks_over(step_us, count))
         return between_ticks(found, step_us, count)
 
-    def course(self, first_us: float, step_us: float, count: int) -> Vector:
+    def trajectory(self, first_us: float, step_us: float, count: int) -> Vector:
         """Angle and speed (2, count) at equal steps of time."""
         found = np.empty((2, count))
         if self.swing is not None:
-            self.swing.course((first_us - self.time_us) * US, step_us * US, found)
+            self.swing.trajectory((first_us - self.time_us) * US, step_us * US, found)
             return found
         dt = (first_us - self.time_us + step_us * np.arange(count)) * US
         found[1] = self.omega_rad_s + dt * self.acceleration_rad_s2

@@ -129,9 +129,11 @@ def swing_on(state: SwingState, step: SwingStep) -> None:
 
 
 @inlined
-def swing_spread(p: Vector, dt: float, step: SwingStep, model: SwingModel, restless: float) -> None:
-    """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; restless: what the
-    noise of the shaft's acceleration is multiplied by."""
+def swing_spread(
+    p: Vector, dt: float, step: SwingStep, model: SwingModel, noise_scale: float
+) -> None:
+    """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; noise scale: what
+    the noise of the shaft's acceleration is multiplied by."""
     work = step.work
     for j in range(SWING_STATES):
         for k in range(j):
@@ -162,14 +164,16 @@ def swing_spread(p: Vector, dt: float, step: SwingStep, model: SwingModel, restl
             p[j, 1] = omega
         if j == 0:
             p[0, 0] = theta
-    swing_noise(p, dt, step, model, restless)
+    swing_noise(p, dt, step, model, noise_scale)
 
 
 @inlined
-def swing_noise(p: Vector, dt: float, step: SwingStep, model: SwingModel, restless: float) -> None:
+def swing_noise(
+    p: Vector, dt: float, step: SwingStep, model: SwingModel, noise_scale: float
+) -> None:
     """Adds to the covariance what the noises have made over a step: a mode's angle and speed are
     part of those of the shaft."""
-    white, walk = restless * model.white_rad2_s3, model.walk_rad2_s5
+    white, walk = noise_scale * model.white_rad2_s3, model.walk_rad2_s5
     d2 = dt * dt
     p[0, 0] += white * d2 * dt / 3.0 + walk * d2 * d2 * dt / 20.0
     p[0, 1] += white * d2 / 2.0 + walk * d2 * d2 / 8.0
@@ -219,7 +223,7 @@ def swing_through(
 
 
 @compiled
-def swing_course(x: Vector, model: Vector, wait_s: float, step_s: float, found: Vector) -> None:
+def swing_trajectory(x: Vector, model: Vector, wait_s: float, step_s: float, found: Vector) -> None:
     """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
     (2, n)."""
     state, motion = new_record(SWING_STATE), record_on(model, SWING_MODEL)

@@ -1,14 +1,15 @@
-"""Where the gap of a gear lies, by all looks at its tooth in mesh: Bayes' rule on a grid.
+"""Where the gap of a gear lies, by all measurements at its tooth in mesh: Bayes' rule on a grid.
 
 In mesh a tooth is somewhere in its gap, most of the time at one of the two flanks, whichever the
 torque presses it to. On a driveline that swings it changes flanks again and again and never lies
-still for long, but the looks at it pile up at two phases one backlash apart. The density of a look
-at phase phi from the middle of the gap, b the backlash:
+still for long, but the looks at it pile up at two phases one backlash apart. The density of a
+measurement at phase phi from the middle of the gap, b the backlash:
 
     p(phi) = (1 - e) (f/2 N(phi - b/2) + f/2 N(phi + b/2) + (1 - f) U(|phi| < b/2) * N) + e / pitch
 
-N is a look's own error, f the share of looks at a flank, and e that of looks gone astray by an
-impact. Looks at one flank alone leave two middles alike, so they decide nothing.
+N is a measurement's own error, f the share of measurements at a flank, and e that of measurements
+gone astray by an impact. Measurements at one flank alone leave two middles alike, so they decide
+nothing.
 """
 
 from __future__ import annotations
@@ -22,20 +23,20 @@ from meshpoint.controller.records import Vector
 
 CELLS: Final = 300
 """Middles of the gap that are compared, over a pitch."""
-LOOK_SHARES: Final = (0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28)
-"""Standard deviations of looks, in backlashes; one counts with the next larger of them, and with
-none it is too vague."""
+MEASUREMENT_SHARES: Final = (0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28)
+"""Standard deviations of measurements, in backlashes; one counts with the next larger of them, and
+with none it is too vague."""
 AT_FLANK: Final = 0.6
 ASTRAY: Final = 0.02
 INDEPENDENT: Final = 0.25
-"""Looks follow each other every 10 ms, sooner than a tooth moves on: so many of them tell something
-of their own."""
+"""Looks follow each other every 10 ms, sooner than a tooth moves on: this many of them tell
+something of their own."""
 NEAR_SHARE: Final = 0.3
 """Middles within this of the likeliest one, in backlashes, are the same;"""
 CERTAIN: Final = 0.97
 """and known where this much of the probability lies there."""
 BEYOND_SD: Final = 1.2
-"""A look lies outside the gap when it is further from a flank than this, in its standard
+"""A measurement lies outside the gap when it is further from a flank than this, in its standard
 deviations,"""
 MOST_OUTSIDE: Final = 0.1
 """and where more of them do, the gap cannot be there. Of looks at a flank 12 % do by chance."""
@@ -57,9 +58,9 @@ class GapPosterior:
         away = pitch_rad / CELLS * np.arange(CELLS)
         self._away = away - pitch_rad * (away > pitch_rad / 2.0)
         """Distance of each cell from the first, at most half a pitch."""
-        self._log_densities = [self._log_density(share) for share in LOOK_SHARES]
+        self._log_densities = [self._log_density(share) for share in MEASUREMENT_SHARES]
         self._log: Vector = np.zeros(CELLS)
-        self._looks = np.zeros((len(LOOK_SHARES), CELLS))
+        self._measurements = np.zeros((len(MEASUREMENT_SHARES), CELLS))
         """How many looks of each standard deviation there were in each cell."""
 
     def _log_density(self, share: float) -> Vector:
@@ -76,14 +77,14 @@ class GapPosterior:
         inside = AT_FLANK * flanks + (1.0 - AT_FLANK) * between
         return (1.0 - ASTRAY) * inside + ASTRAY / self._pitch_rad
 
-    def look(self, raw_rad: float, sd_rad: float) -> None:
+    def measure(self, raw_rad: float, sd_rad: float) -> None:
         """One look at the gear in mesh: its raw phase and standard deviation."""
         share = sd_rad / self._backlash_rad
-        if share > LOOK_SHARES[-1]:
+        if share > MEASUREMENT_SHARES[-1]:
             return
-        kind = next(k for k, largest in enumerate(LOOK_SHARES) if share <= largest)
+        kind = next(k for k, largest in enumerate(MEASUREMENT_SHARES) if share <= largest)
         cell = round(raw_rad / self._pitch_rad * CELLS) % CELLS
-        self._looks[kind, cell] += 1.0
+        self._measurements[kind, cell] += 1.0
         # A middle in cell k explains the look by the density of its distance from there; the
         # density is the same on either side.
         self._log += np.roll(self._log_densities[kind], cell)
@@ -96,7 +97,7 @@ class GapPosterior:
         away = np.roll(self._away, best)
         near = np.abs(away) < NEAR_SHARE * self._backlash_rad
         share = float(weight[near].sum())
-        if share < CERTAIN or self._outside(away) > MOST_OUTSIDE * self._looks.sum():
+        if share < CERTAIN or self._outside(away) > MOST_OUTSIDE * self._measurements.sum():
             return None
         off = float((weight * away)[near].sum()) / share
         variance = float((weight * (away - off) ** 2)[near].sum()) / share
@@ -104,5 +105,5 @@ class GapPosterior:
 
     def _outside(self, away: Vector) -> float:
         """How many looks lie outside a gap from whose middle the cells are so far away."""
-        reach = self._backlash_rad * (0.5 + BEYOND_SD * np.array(LOOK_SHARES))
-        return float(self._looks[np.abs(away) > reach[:, np.newaxis]].sum())
+        reach = self._backlash_rad * (0.5 + BEYOND_SD * np.array(MEASUREMENT_SHARES))
+        return float(self._measurements[np.abs(away) > reach[:, np.newaxis]].sum())

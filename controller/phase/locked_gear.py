@@ -1,8 +1,8 @@
 """Watches a gear that has just locked until its phase reference is known.
 
-A look is both shafts' angles at the newest edge: there nothing is extrapolated, so an impact causes
-the least error. Whether drag alone holds the gear's tooth at its lower flank is told by the
-speeds of the latest looks.
+A measurement is both shafts' angles at the newest edge: there nothing is extrapolated, so an impact
+causes the least error. Whether drag alone holds the gear's tooth at its lower flank is known from
+the speeds of the latest measurements.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from meshpoint.units import US
 
 PULL_RAD_S2 = 5.0
 """Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
-LOOK_US = 10_000
-LOOKS_PULLED = 8
+MEASUREMENT_US = 10_000
+MEASUREMENTS_PULLED = 8
 """The looks in which the main shaft's acceleration is watched, and the time from each to the
 next."""
-LOOK_SHARE = 0.15
-"""Largest standard deviation of a look at a gear in mesh, in backlashes, for which the two flanks
-can be told apart."""
+MEASUREMENT_SHARE = 0.15
+"""Largest standard deviation of a measurement at a gear in mesh, in backlashes, for which the two
+flanks can be determined apart."""
 
 
 class LockedGear:
@@ -41,17 +41,18 @@ class LockedGear:
         self._sheet = sheet
         self._references = references
         self._recovery = recovery
-        self._main_speeds: deque[tuple[float, float]] = deque(maxlen=LOOKS_PULLED)
-        """Times (us) and speeds (rad/s) of the main shaft at the latest looks."""
+        self._main_speeds: deque[tuple[float, float]] = deque(maxlen=MEASUREMENTS_PULLED)
+        """Times (us) and speeds (rad/s) of the main shaft at the latest measurements."""
         self._looked_us = 0.0
-        """The newest edge at the latest look."""
+        """The newest edge at the latest measurement."""
 
     def is_due(self, newest_us: float) -> bool:
-        """Whether there are edges since the latest look: a step between two reads has none."""
+        """Whether there are edges since the latest measurement: a step between two reads has
+        none."""
         is_new, self._looked_us = newest_us != self._looked_us, newest_us
         return is_new
 
-    def look(
+    def measure(
         self,
         gear: MainGear,
         layshaft: LayshaftState,
@@ -64,7 +65,7 @@ class LockedGear:
         references, recovery = self._references, self._recovery
         sd_rad = self._phase_sd_rad(gear, layshaft, main)
         references.see(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
-        if sd_rad >= LOOK_SHARE * self._sheet.dog.backlash_rad:
+        if sd_rad >= MEASUREMENT_SHARE * self._sheet.dog.backlash_rad:
             return
         pulled = self._drag_pulls(gear, main, coasting_rad_s2)
         if references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
@@ -91,15 +92,17 @@ class LockedGear:
         return ratio * coasting_rad_s2 - self._slowest_rad_s2(main) < -PULL_RAD_S2
 
     def _slowest_rad_s2(self, main: ShaftState) -> float:
-        """The lowest acceleration of the main shaft during the latest looks, over two looks each.
-        On a driveline that swings it is far below that of the vehicle: then drag does not hold the
-        tooth at one flank."""
-        looks = [
-            look for look in self._main_speeds if main.time_us - look[0] < LOOKS_PULLED * LOOK_US
+        """The lowest acceleration of the main shaft during the latest measurements, over two
+        measurements each. On a driveline that swings it is far below that of the vehicle: then drag
+        does not hold the tooth at one flank."""
+        measurements = [
+            measurement
+            for measurement in self._main_speeds
+            if main.time_us - measurement[0] < MEASUREMENTS_PULLED * MEASUREMENT_US
         ]
         rates = [
             (after[1] - before[1]) / ((after[0] - before[0]) * US)
-            for before, after in zip(looks, looks[2:], strict=False)
+            for before, after in zip(measurements, measurements[2:], strict=False)
             if after[0] > before[0]
         ]
         return min([main.acceleration_rad_s2, *rates])

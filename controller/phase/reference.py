@@ -9,11 +9,12 @@ between counted angles and phase follows once it is known which flank.
   in; in a gearbox where teeth have been observed to move, where the layshaft's drag pulls it.
 - With very little torque a tooth floats. Its lowest and highest phase between lock and release then
   bound the gap, which is as wide as that range or slightly wider.
-- On a driveline that swings a tooth goes from flank to flank. Then all looks together tell where
+- On a driveline that swings a tooth goes from flank to flank. Then all measurements together tell
+  where
   the gap is (`gap_posterior`).
 
-An observation of the phase of a gear in mesh is called a look. Counting teeth keeps the reference
-exact; it is lost when the count of either wheel is lost.
+An observation of the phase of a gear in mesh is called a measurement. Counting teeth keeps the
+reference exact; it is lost when the count of either wheel is lost.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 
-STILL_LOOKS = 5
+STILL_MEASUREMENTS = 5
 """Looks, one every 10 ms, during which a tooth that has crossed its gap must then lie still."""
 STILL_SHARE = 0.05
 """A tooth lies still if the standard deviation of its looks is below this, in backlashes."""
@@ -39,15 +40,15 @@ has moved, below the third it has not moved."""
 NEAR_SHARE = 0.1
 """Earlier looks this close to where the tooth lies, in backlashes, enter its mean phase."""
 GAP_SHARE = 1.25
-"""A look farther away than this, in backlashes, is wrong: the gap is not that wide."""
-MOVED_LOOKS = 16
+"""A measurement farther away than this, in backlashes, is wrong: the gap is not that wide."""
+MOVED_MEASUREMENTS = 16
 """Still looks required of a tooth that started inside the gap: it may also stop there and
 reverse."""
-UNMOVED_LOOKS = 20
+UNMOVED_MEASUREMENTS = 20
 """After this many looks without a move the tooth lies where the slip at contact carried it."""
-PULLED_LOOKS = 6
+PULLED_MEASUREMENTS = 6
 """Still looks under drag alone: longer than a tooth needs to reverse inside its gap."""
-FLOATED_LOOKS = 3
+FLOATED_MEASUREMENTS = 3
 """Consecutive looks that together give one position of a floating tooth,"""
 FLOATED_SHARE = 0.2
 """if they are within this distance, in backlashes: an impact disturbs single looks."""
@@ -57,7 +58,7 @@ middle is then wrong by a tenth of the backlash at most."""
 OTHER_SHARE = 0.3
 """A constant this far, in backlashes, from the middle of what was seen of the whole gap is wrong:
 it took one flank for the other."""
-MOST_LOOKS = 60
+MOST_MEASUREMENTS = 60
 """A gear in mesh is looked at no further: 0.6 s, in which a driveline swings several times."""
 FLANK_SLIP_RAD_S = 0.2
 """Below this slip (2 rpm) at contact it is not certain which flank the tooth was carried to."""
@@ -97,7 +98,8 @@ class _Learning:
     """Its constant has been found; looks go on, to see the whole gap."""
 
     def add(self, raw_rad: float, pitch_rad: float, pulled: bool) -> None:
-        """Adds a look: raw phase (rad), unwrapped to lie within half a pitch of the first."""
+        """Adds a measurement: raw phase (rad), unwrapped to lie within half a pitch of the
+        first."""
         first = self.seen[0] if self.seen else raw_rad
         self.pulled = self.pulled + 1 if pulled else 0
         self.seen.append(first + wrap_to_pitch(raw_rad - first, pitch_rad))
@@ -108,15 +110,19 @@ class _Learning:
 
         moves, stays: whether in this gearbox a tooth was seen to cross its gap before, and whether
         one was seen not to move."""
-        if moves and self.pulled >= PULLED_LOOKS and self._still(PULLED_LOOKS, backlash_rad):
-            return -1, _mean(self.seen[-PULLED_LOOKS:])
-        if not self._still(STILL_LOOKS, backlash_rad):
+        if (
+            moves
+            and self.pulled >= PULLED_MEASUREMENTS
+            and self._still(PULLED_MEASUREMENTS, backlash_rad)
+        ):
+            return -1, _mean(self.seen[-PULLED_MEASUREMENTS:])
+        if not self._still(STILL_MEASUREMENTS, backlash_rad):
             return None
-        mean = _mean(self.seen[-STILL_LOOKS:])
+        mean = _mean(self.seen[-STILL_MEASUREMENTS:])
         moved = self.moved_share(mean, backlash_rad)
         if moved is None:
             return None
-        if abs(moved) > CROSSED_SHARE or (moved and self._still(MOVED_LOOKS, backlash_rad)):
+        if abs(moved) > CROSSED_SHARE or (moved and self._still(MOVED_MEASUREMENTS, backlash_rad)):
             return int(math.copysign(1.0, moved)), mean
         certain = self.straight or stays
         if moves or not certain or self.flank == 0 or not self.stayed(backlash_rad):
@@ -126,13 +132,15 @@ class _Learning:
     def stayed(self, backlash_rad: float) -> bool:
         """Whether no look of a long series differs: the tooth has not moved."""
         near = STAYED_SHARE * backlash_rad
-        return len(self.seen) >= UNMOVED_LOOKS and max(self.seen) - min(self.seen) < 2.0 * near
+        return (
+            len(self.seen) >= UNMOVED_MEASUREMENTS and max(self.seen) - min(self.seen) < 2.0 * near
+        )
 
     def moved_share(self, mean: float, backlash_rad: float) -> float | None:
         """Signed distance that the tooth has moved to where it lies, in backlashes; 0 if it has not
         moved, None if it has been on both sides. Median filtered: an impact disturbs single
         looks."""
-        away = [(look - mean) / backlash_rad for look in self.seen]
+        away = [(measurement - mean) / backlash_rad for measurement in self.seen]
         smooth = [sorted(away[k - 1 : k + 2])[1] for k in range(1, len(away) - 1)]
         possible = [share for share in smooth if abs(share) < GAP_SHARE]
         above, below = max(possible, default=0.0), -min(possible, default=0.0)
@@ -146,24 +154,27 @@ class _Learning:
 
     def floated(self, backlash_rad: float) -> tuple[float, float] | None:
         """Lowest and highest raw phase (rad) of the tooth; None without enough quiet looks."""
-        runs = [self.seen[k : k + FLOATED_LOOKS] for k in range(len(self.seen) - FLOATED_LOOKS + 1)]
+        runs = [
+            self.seen[k : k + FLOATED_MEASUREMENTS]
+            for k in range(len(self.seen) - FLOATED_MEASUREMENTS + 1)
+        ]
         quiet = [sorted(run) for run in runs if max(run) - min(run) < FLOATED_SHARE * backlash_rad]
         if not quiet:
             return None
-        middle = [run[FLOATED_LOOKS // 2] for run in quiet]
+        middle = [run[FLOATED_MEASUREMENTS // 2] for run in quiet]
         return min(middle), max(middle)
 
-    def _still(self, looks: int, backlash_rad: float) -> bool:
-        if len(self.seen) < looks:
+    def _still(self, measurements: int, backlash_rad: float) -> bool:
+        if len(self.seen) < measurements:
             return False
-        still = self.seen[-looks:]
+        still = self.seen[-measurements:]
         mean = _mean(still)
-        variance = sum((look - mean) ** 2 for look in still) / looks
+        variance = sum((measurement - mean) ** 2 for measurement in still) / measurements
         return variance <= (STILL_SHARE * backlash_rad) ** 2
 
 
-def _mean(looks: list[float]) -> float:
-    return sum(looks) / len(looks)
+def _mean(measurements: list[float]) -> float:
+    return sum(measurements) / len(measurements)
 
 
 class PhaseReferences:
@@ -183,7 +194,7 @@ class PhaseReferences:
         self._floated_rad: dict[MainGear, tuple[float, float]] = {}
         """Lowest and highest raw phase (rad) of floating teeth, by gear."""
         self._gaps: dict[MainGear, GapPosterior] = {}
-        """What all looks at a gear tell of where its gap is."""
+        """What all measurements at a gear tell of where its gap is."""
         self._likely_rad: dict[MainGear, float] = {}
         """Constants that are valid if teeth of this gearbox stay where the slip carried them."""
 
@@ -214,7 +225,11 @@ class PhaseReferences:
     def watches(self, gear: MainGear) -> bool:
         """Whether this gear's reference is being learned, so that looks are wanted."""
         learning = self._learning
-        return learning is not None and learning.gear is gear and len(learning.seen) < MOST_LOOKS
+        return (
+            learning is not None
+            and learning.gear is gear
+            and len(learning.seen) < MOST_MEASUREMENTS
+        )
 
     @property
     def watched(self) -> Watched | None:
@@ -228,13 +243,13 @@ class PhaseReferences:
         if gear not in self._gaps:
             self._gaps[gear] = GapPosterior(dog.pitch_rad, dog.backlash_rad)
         ratio = self._sheet.main_mesh(gear).ratio
-        self._gaps[gear].look(raw_phase_rad(ratio, theta_layshaft, theta_main), sd_rad)
+        self._gaps[gear].measure(raw_phase_rad(ratio, theta_layshaft, theta_main), sd_rad)
 
     def watch(
         self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool = False
     ) -> bool:
         """One look at the gear in mesh; `pulled`: drag alone pulls its teeth, hard enough to cross
-        the gap within a few looks. True when its reference has just been stored."""
+        the gap within a few measurements. True when its reference has just been stored."""
         learning = self._learning
         if learning is None or learning.gear is not gear:
             return False
@@ -247,11 +262,16 @@ class PhaseReferences:
         if lies is None:
             return False
         flank, mean = lies
-        # earlier looks at the same place reduce the noise
-        near = [look for look in learning.seen if abs(look - mean) < NEAR_SHARE * dog.backlash_rad]
+        # earlier measurements at the same place reduce the noise
+        near = [
+            measurement
+            for measurement in learning.seen
+            if abs(measurement - mean) < NEAR_SHARE * dog.backlash_rad
+        ]
         mean = _mean(near)
-        # Not less for more looks: what is left of the tooth errors is the same in all of them.
-        self._sd_rad[gear] = math.sqrt(_mean([(look - mean) ** 2 for look in near]))
+        # Not less for more measurements: what is left of the tooth errors is the same in all of
+        # them.
+        self._sd_rad[gear] = math.sqrt(_mean([(measurement - mean) ** 2 for measurement in near]))
         share = learning.moved_share(mean, dog.backlash_rad)
         self._moves = self._moves or (share is not None and abs(share) > CROSSED_SHARE)
         self._stays = self._stays or share == 0.0
@@ -304,8 +324,8 @@ class PhaseReferences:
                 self._adopted.pop(gear, None)
 
     def _weigh(self, gear: MainGear) -> None:
-        """Determines the reference of a gear that leaves the mesh from all looks at it, where it
-        was not known, or where it took one flank for the other."""
+        """Determines the reference of a gear that leaves the mesh from all measurements at it,
+        where it was not known, or where it took one flank for the other."""
         gap = self._gaps.get(gear)
         middle = None if gap is None else gap.middle()
         if middle is None:

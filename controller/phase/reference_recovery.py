@@ -187,7 +187,7 @@ class ReferenceRecovery:
         for wheel in self._wheels:
             wheel.shift, wheel.base = 0, 0
 
-    def look(self, events: list[str], renumbered: Renumbered) -> None:
+    def measure(self, events: list[str], renumbered: Renumbered) -> None:
         """Takes the patterns recognised since the last step, and the sensor's count of the
         layshaft's teeth. Adds lines for the log to `events`."""
         self._renumbered = renumbered

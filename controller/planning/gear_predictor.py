@@ -25,13 +25,13 @@ from meshpoint.controller.motion.models import (
 )
 from meshpoint.controller.motion.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.plan_kernels import MEETING, course, courses
+from meshpoint.controller.planning.plan_kernels import MEETING, trajectories, trajectory
 from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import MainGear
 from meshpoint.units import US
 
 MOST_TICKS = 16
-"""What will be known of the layshaft is worked out at so many ticks of `OUTLOOK_US`."""
+"""What will be known of the layshaft is worked out at this many ticks of `OUTLOOK_US`."""
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
@@ -47,8 +47,8 @@ class Trajectory(NamedTuple):
     slip_rad_s: Vector
 
 
-class LastLook(NamedTuple):
-    """When a sleeve can last be called back: the last tick so long before its contact."""
+class LastMeasurement(NamedTuple):
+    """When a sleeve can last be recalled: the last tick so long before its contact."""
 
     before_us: float
     tick_us: int
@@ -138,15 +138,15 @@ class GearPredictor:
         scaled: Vector = self._main_share**2 * self.main.variances(first_us, step_us, count)
         return scaled + layshaft
 
-    def told_variances(
-        self, first_us: float, step_us: float, count: int, now_us: int, look: LastLook
+    def reported_variances(
+        self, first_us: float, step_us: float, count: int, now_us: int, measurement: LastMeasurement
     ) -> Vector:
         """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's
-        delay: each as predicted by what will be known at the last look before it.
+        delay: each as predicted by what will be known at the last measurement before it.
 
-        Looks come tick by tick. A contact that is a little too early for one more of them has the
-        one before, a tick longer ago."""
-        before_us, tick_us = look
+        Measurements come tick by tick. A contact that is a little too early for one more of them
+        has the one before, a tick longer ago."""
+        before_us, tick_us = measurement
         waits_us = first_us - now_us + step_us * np.arange(count)
         ticks = np.maximum(0.0, np.floor((waits_us - before_us) / tick_us))
         beyond = (waits_us - ticks * tick_us - before_us) / tick_us
@@ -164,8 +164,8 @@ class GearPredictor:
         if state.covariance is None or state.edge_rad2_s <= 0.0:
             return np.full(count, self._layshaft_sd_rad(first_us) ** 2)
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
-        looks = min(ticks_over(step_us, count), MOST_TICKS)
-        ticks = Ticks(max(0.0, first_us - state.time_us), OUTLOOK_US, looks)
+        measurements = min(ticks_over(step_us, count), MOST_TICKS)
+        ticks = Ticks(max(0.0, first_us - state.time_us), OUTLOOK_US, measurements)
         found = outlook(state, ticks, switches, self.model)
         return between_ticks(found, step_us, count)
 
@@ -184,8 +184,8 @@ class GearPredictor:
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         meeting = self._meeting(first_us, step_us)
-        found = self.main.course(first_us, step_us, count)
-        course(self.layshaft.vector, switches, self.model.flat, meeting, found)
+        found = self.main.trajectory(first_us, step_us, count)
+        trajectory(self.layshaft.vector, switches, self.model.flat, meeting, found)
         return Trajectory(first_us, step_us, found[0], found[1])
 
     def trajectories(
@@ -196,12 +196,12 @@ class GearPredictor:
         found = np.empty((len(releases_us), 2, count))
         for k, first_us in enumerate(firsts_us):
             is_same = k > 0 and first_us == firsts_us[k - 1]
-            found[k] = found[k - 1] if is_same else self.main.course(first_us, step_us, count)
+            found[k] = found[k - 1] if is_same else self.main.trajectory(first_us, step_us, count)
         off_us, meeting = self.brake.off_delay_us, self._meeting(firsts_us[0], step_us)
         reacts_us = [release_us + off_us for release_us in releases_us]
         releases = np.array((releases_us, reacts_us, firsts_us), dtype=np.float64)
         commands = self.brake.commanded()
-        courses(self.layshaft.vector, commands, self.model.flat, meeting, releases, found)
+        trajectories(self.layshaft.vector, commands, self.model.flat, meeting, releases, found)
         return found
 
     def _meeting(self, first_us: float, step_us: float) -> Vector:

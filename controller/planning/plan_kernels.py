@@ -25,7 +25,7 @@ from meshpoint.units import US
 
 
 class Meeting:
-    """The gear's two shafts, and the times at which their course is asked for."""
+    """The gear's two shafts, and the times at which their trajectory is asked for."""
 
     layshaft_us: float
     """Time of the layshaft's state."""
@@ -85,7 +85,7 @@ NODE: Final = 1.7320508075688772
 
 
 @compiled
-def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: Vector) -> None:
+def trajectory(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: Vector) -> None:
     """Phase (unwrapped) and slip at equal steps of time; written to the rows of found (2, n), in
     which the main shaft's angle and speed at these times are given.
 
@@ -95,10 +95,11 @@ def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: V
 
 
 @compiled
-def courses(
+def trajectories(
     x: Vector, commands: Vector, model: Vector, meeting: Vector, releases: Vector, found: Vector
 ) -> None:
-    """As `course`, after each of m releases of the brake, instead of the switches: found (m, 2, n).
+    """As `trajectory`, after each of m releases of the brake, instead of the switches: found (m, 2,
+    n).
 
     commands (3, k): times of the brake valve's switches, its states from then on, and when pressure
     begins to react; releases (3, m): times of the releases, when pressure begins to react to them,
@@ -129,7 +130,7 @@ def release(commands: Vector, release_us: float, reacts_us: float, switches: Vec
 def meet(
     ahead: Vector, switches: Vector, model: Vector, mesh: Meeting, first_us: float, found: Vector
 ) -> None:
-    """The course of a `Meeting` from a time on; the layshaft's state is moved."""
+    """The trajectory of a `Meeting` from a time on; the layshaft's state is moved."""
     state, at_us = record_on(ahead, STATE), mesh.layshaft_us
     phase, slip = found[0], found[1]
     for k in range(phase.shape[0]):
@@ -179,8 +180,8 @@ def cheapest(
     phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector,
     shift_rad: float,
 ) -> tuple[int, float]:  # fmt: skip
-    """Index and cost of the cheapest contact of a course: phase and slip at each contact, and the
-    phase's variance without what the delay adds.
+    """Index and cost of the cheapest contact of a trajectory: phase and slip at each contact, and
+    the phase's variance without what the delay adds.
 
     contacts: a `ContactSeries`; terms: `Terms`; shift_rad is added to the phase."""
     series, price = record_on(contacts, CONTACT_SERIES), record_on(terms, TERMS)
@@ -210,12 +211,12 @@ def expected_least(
 
 
 @compiled
-def best_course(
+def best_trajectory(
     found: Vector, variance: Vector, waits_s: Vector, contacts: Vector, terms: Vector,
     spread_rad: float,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Of several courses, found (m, 2, n), the one of `expected_least`: its index, and what that
-    has of it.
+    """Of several trajectories, found (m, 2, n), the one of `expected_least`: its index, and what
+    that has of it.
 
     waits_s (m,): from now to the first contact of each, `ContactSeries.wait_s`, which is set."""
     series = record_on(contacts, CONTACT_SERIES)
@@ -236,10 +237,10 @@ def warm_up() -> None:
     law = model.view(MODEL)["segments"]
     law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
     meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
+    trajectory(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
     found = np.ones((1, 2, 1))
-    courses(np.ones(STATES), np.empty((3, 0)), model, meeting, np.ones((3, 1)), found)
+    trajectories(np.ones(STATES), np.empty((3, 0)), model, meeting, np.ones((3, 1)), found)
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
     one, terms = np.ones(1), np.ones(TERMS.itemsize // WORD_BYTES)
     cheapest(one, one, one, contacts, terms, 0.0)
-    best_course(found, one, one, contacts, terms, 0.1)
+    best_trajectory(found, one, one, contacts, terms, 0.1)

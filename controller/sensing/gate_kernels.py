@@ -244,7 +244,7 @@ def settle(gate: Gate, teeth: Integers, time_us: int, falling: int, verdict: int
     before = gate.last[0]
     step = gate.slot - before
     if verdict == DOUBT:
-        # Counted on as if nothing was missing; the next gap tells whether that is true.
+        # Counted on as if nothing was missing; the next gap says whether that is true.
         gate.doubts += 1
         begin_search(gate, teeth)
         guess = gate.guess

@@ -111,21 +111,21 @@ RATE_ERROR: Final = 0.03
 GAP_RATIO: Final = 1.45
 """A gap may appear longer or shorter by up to this factor."""
 GAPS_TO_TURN: Final = 2
-"""So many gaps in a row that end with the other polarity: teeth begin with that one."""
+"""This many gaps in a row that end with the other polarity: teeth begin with that one."""
 ALONE: Final = 10
-"""So many edges of one polarity, and none of the other: that one alone is used."""
+"""This many edges of one polarity, and none of the other: that one alone is used."""
 EVEN, CALM = 1.5, 1.1
 """Neighbouring intervals of true edges differ by less than the first factor at any acceleration, by
 less than the second if nothing has happened."""
 MOST_REJECTED: Final = 60
 LONG: Final = 2.0
-"""At the least speed, a wheel may stop within so many pitches."""
+"""At the least speed, a wheel may stop within this many pitches."""
 FOLLOW, FOLLOW_RATE, MOST_ERROR = 0.6, 0.3, 0.15
 """alpha, beta, and the largest error that moves the speed."""
 MOST_DRAGGED: Final = 0.4
 """The same in a shaft that is dragged, by over 2,000 rad/s2: its speed is that of the last edge."""
 LONGEST_WAIT: Final = 1.5
-"""An edge waits for the next of its polarity until the other one is so many pitches on."""
+"""An edge waits for the next of its polarity until the other one is this many pitches on."""
 SURE, SURE_SCATTERS, BETTER = 0.02, 3.0, 0.02
 SCATTER_SHARE, START_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.0625, 0.05, 0.002, 0.2
 CLEAN, WIDER, ERRATIC, TWO_TEETH = 0.04, 6.0, 0.1, 0.6

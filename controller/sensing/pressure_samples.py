@@ -4,9 +4,9 @@ A sensor with its filter is a first-order lag, tau m' = p - m, so with Taylor's 
 
     m(t) = m(t - tau) + tau m'(t - tau) + tau^2 / 2 m'' + ... = p(t - tau) + tau^2 / 2 m'' + ...
 
-A sample is therefore the pressure one lag earlier, but for its curvature, which is told by the two
-samples before. For 5 ms, samples each 10 ms and a chamber that empties within 60 ms it is 0.04 bar,
-and its noise adds 5 % to a sample's.
+A sample is therefore the pressure one lag earlier, but for its curvature, which is known from the
+two samples before. For 5 ms, samples each 10 ms and a chamber that empties within 60 ms it is 0.04
+bar, and its noise adds 5 % to a sample's.
 """
 
 from __future__ import annotations

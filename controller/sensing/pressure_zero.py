@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 REST_TIME_CONSTANTS: Final = 8.0
-"""A chamber has emptied so many time constants after its valve went off: to 1 / 3000 of its
+"""A chamber has emptied this many time constants after its valve went off: to 1 / 3000 of its
 pressure."""
 FORGET: Final = 0.998
 """Weight of the past with each new sample: 5 s at 10 ms, in which an offset changes little."""

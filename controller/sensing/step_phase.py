@@ -21,8 +21,8 @@ LONGER_US: Final = 300
 SHORTER_US: Final = 1
 """and after each step that had them all for so much less,"""
 SOONER_AFTER: Final = 300
-"""and by so much again after each so many of these in a row. So one step in some two hundred comes
-too soon, and a time in which frames came late is forgotten within seconds."""
+"""and by so much again after each this many of these in a row. So one step in some two hundred
+comes too soon, and a time in which frames came late is forgotten within seconds."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
 MOST_SHARE: Final = 0.8
@@ -79,7 +79,7 @@ class StepPhase:
             self._waits_us = max(0, self._waits_us - shorter_us)
         else:
             self._had_all = 0
-            # By no more for a step that was itself held up: it tells of the machine, not of a read.
+            # By no more for a step that was itself held up: it says of the machine, not of a read.
             longer_us = min(self._waits_us, age_us) + LONGER_US
             self._waits_us = min(max(self._waits_us, longer_us), round(MOST_SHARE * self._tick_us))
         self._move(age_us)
@@ -90,7 +90,7 @@ class StepPhase:
             self._whole_us = unwrap(inputs.sleeves_aux[-1].sample_time_us, sensor_us)
 
     def _follow(self, frames: int, read_us: int) -> None:
-        """The first frames of so many reads have come, the newest of this one."""
+        """The first frames of this many reads have come, the newest of this one."""
         before_us, self._read_us = self._read_us, read_us
         ticks, self._ticks = self._ticks, 0
         if before_us is None or (ticks > 1 and not (self._is_kept and frames == ticks)):

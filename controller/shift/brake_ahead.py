@@ -22,7 +22,7 @@ from meshpoint.units import SECOND_US
 MOVED_M: Final = 0.6e-3
 """A sleeve this far from where it stood is on its way: some times the sensors' noise."""
 OVER_SAMPLES: Final = 3
-"""The sleeve's speed is taken over so many samples of 1 ms."""
+"""The sleeve's speed is taken over this many samples of 1 ms."""
 CLEAR_M: Final = 1.0e-3
 """Air comes in when the teeth are this far from each other, as predicted."""
 

@@ -14,7 +14,7 @@ from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
-from meshpoint.controller.shift.driveline_look import DrivelineLook
+from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
 from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
@@ -86,7 +86,7 @@ class ShiftContext:
         self.engine_share: float | None = None
         """The torque the engine is asked for, as a share of its reference torque; None: none."""
         self.torque = TorqueFall()
-        self.driveline = DrivelineLook(sheet)
+        self.driveline = DrivelineMeasurement(sheet)
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""
@@ -98,7 +98,7 @@ class ShiftContext:
         self.strategy_error: str | None = None
         """What was wrong with a user's strategy in this step."""
         self.on_transition: Callable[[State, Trigger], None] | None = None
-        """Is told of each change of state, before it; for those who look on."""
+        """Is called at each change of state, before it; read-only."""
         self.predictor_source: PredictorSource | None = None
         self.free_predictor: GearPredictor | None = None
         """The last predictor before the sleeve entered its gear."""
@@ -130,7 +130,7 @@ class ShiftContext:
 
     @property
     def clutch_opens(self) -> bool:
-        """Whether the clutch has been told to open."""
+        """Whether the clutch has been commanded to open."""
         return self.clutch is ClutchAction.OPEN
 
     def late(self, snapshot: StepSnapshot, limit_ms: int) -> bool:

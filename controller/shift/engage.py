@@ -8,7 +8,7 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import ENGAGED_SHORT_M, ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.brake_look import brake_holds
+from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import (
     DRIVEN_LATE_US,
     FALL_US,
@@ -32,9 +32,9 @@ STRAIGHT_SHARE: Final = 1.3
 """A sleeve that enters a gap at first contact takes no longer than this by the sheet's speed."""
 
 CALLS: Final = 6
-"""So often a sleeve may be called back in one shift: each costs a gap's time."""
+"""This often a sleeve may be recalled in one shift: each costs a gap's time."""
 AGAIN_US: Final = 20 * MS_IN_US
-"""A sleeve that is called back can be fired anew so much later: the step in which it is seen to
+"""A sleeve that is recalled can be fired anew so much later: the step in which it is seen to
 have stayed, and the next."""
 
 SEEN_US: Final = 28 * MS_IN_US
@@ -49,11 +49,11 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if predictor is not None:
         context.free_predictor, context.free_us = predictor, snapshot.now_us
         if _is_to_go_back(context, predictor, snapshot):
-            return call_back(context)
+            return recall(context)
     if _is_refused(context, snapshot):
-        return call_back(context)
+        return recall(context)
     if shift.measured_contact_us is None:
-        _look_for_contact(context, snapshot)
+        _measurement_for_contact(context, snapshot)
     if snapshot.view.main_gear is gear:
         side = SLEEVE_OF_MAIN[gear]
         seen_us = snapshot.view.engaged_us(side.sleeve, side.direction)
@@ -101,8 +101,8 @@ def _is_refused(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return not driven and snapshot.now_us - plan.fire_us > DRIVEN_LATE_US
 
 
-def call_back(context: ShiftContext) -> Trigger:
-    """The firing is taken back, and does not count as an attempt: nothing has touched."""
+def recall(context: ShiftContext) -> Trigger:
+    """The firing is withdrawn, and does not count as an attempt: nothing has touched."""
     shift = context.running
     shift.attempts -= 1
     shift.calls += 1
@@ -110,7 +110,7 @@ def call_back(context: ShiftContext) -> Trigger:
     return Trigger.BLOCKED
 
 
-def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
+def _measurement_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
     shift = context.running
     side = SLEEVE_OF_MAIN[shift.target.main]
     crossing = snapshot.view.contact_us(side.sleeve, side.direction)

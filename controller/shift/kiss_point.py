@@ -44,7 +44,7 @@ class KissPoint:
         """The plates are taken to be apart from here on."""
         return max(self._low, self.share - self.sd)
 
-    def look(self, track: ClutchTrack, engine_rad_s: float | None) -> None:
+    def measure(self, track: ClutchTrack, engine_rad_s: float | None) -> None:
         """One step's newest sample of the clutch, and the engine's speed beside it."""
         if engine_rad_s is None or track.closed is None or track.rate_per_s <= 0.0:
             self._seen.clear()

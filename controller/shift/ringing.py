@@ -14,8 +14,8 @@ RINGS_RAD_S: Final = 0.25
 """Standard deviation of the main shaft's speed about a straight line above which it rings (2.4 rpm,
 7 rpm from peak to peak): that moves a gear's tooth against its sleeve by half a gap within 45 ms.
 Errors of the sensor wheel's teeth are 0.1 rad/s."""
-LEAST_LOOKS: Final = 6
-"""Looks, one a step, from which a line can be told from a swing."""
+LEAST_MEASUREMENTS: Final = 6
+"""Looks, one a step, from which a line can be distinguished from a swing."""
 FREE_STATES: Final = frozenset({State.SYNCHRONISING, State.COASTING})
 
 
@@ -26,22 +26,22 @@ class DrivelineRings:
     def __init__(self) -> None:
         self.twists = False
         """Whether the driveline has been seen to ring. What once did twists for good."""
-        self._looks: list[tuple[int, float]] = []
+        self._measurements: list[tuple[int, float]] = []
 
-    def look(self, state: State, snapshot: StepSnapshot) -> None:
+    def measure(self, state: State, snapshot: StepSnapshot) -> None:
         """One step."""
         main = snapshot.speeds.main
         is_free = state in FREE_STATES and snapshot.view.main_gear is MainGear.NEUTRAL
         if is_free and main is not None:
-            self._looks.append((snapshot.now_us, main))
+            self._measurements.append((snapshot.now_us, main))
             return
-        if len(self._looks) >= LEAST_LOOKS and not self.twists:
+        if len(self._measurements) >= LEAST_MEASUREMENTS and not self.twists:
             self.twists = self._swing_rad_s() > RINGS_RAD_S
-        self._looks.clear()
+        self._measurements.clear()
 
     def _swing_rad_s(self) -> float:
         """Standard deviation about the straight line that suits the looks best."""
-        time_us, speed = np.array(self._looks).T
+        time_us, speed = np.array(self._measurements).T
         time_s = 1e-6 * (time_us - time_us[0])
         line = np.column_stack((np.ones_like(time_s), time_s))
         _, squares, _, _ = np.linalg.lstsq(line, speed, rcond=None)

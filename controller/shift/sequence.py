@@ -21,7 +21,7 @@ from meshpoint.controller.shift.between_shifts import (
 )
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
-from meshpoint.controller.shift.engage import CALLS, call_back, engage, retract
+from meshpoint.controller.shift.engage import CALLS, engage, recall, retract
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -80,9 +80,9 @@ class ShiftSequence(ShiftContext):
     def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
-        self.kiss.look(snapshot.view.clutch, snapshot.engine_rad_s)
+        self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
-        self.driveline.look(self.state, snapshot)
+        self.driveline.measure(self.state, snapshot)
         if self.engine_share is not None and not self.engine_carries(snapshot):
             self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
@@ -137,7 +137,7 @@ class ShiftSequence(ShiftContext):
             # One that should have touched by now was an attempt: its sleeve may not move at all.
             is_early = plan is not None and snapshot.now_us < plan.contact_us
             taken_back = is_early and self.shift.calls < CALLS
-            self._go(call_back(self) if taken_back else Trigger.BLOCKED, snapshot)
+            self._go(recall(self) if taken_back else Trigger.BLOCKED, snapshot)
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A drive gear is requested. Returns a line for the log if the request is refused."""

@@ -46,4 +46,4 @@ class StepSnapshot:
     engine_torque_share: float | None = None
     """Its torque there, as a share of its reference torque,"""
     engine_torque_step: float = 0.01
-    """and the step in which it is told."""
+    """and the step in which it is reported."""

@@ -21,13 +21,13 @@ from meshpoint.controller.records import Vector
 
 FREQUENCIES: Final = 25
 REACH_SD: Final = 2.0
-"""The row of frequencies reaches so many standard deviations to either side."""
+"""The row of frequencies reaches this many standard deviations to either side."""
 LEAST_SPEED_SD: Final = 0.1
 """Least error of the engine's speed against this model (rad/s): ripple and torque of chance."""
 LEAST_SHARE: Final = 1e-12
-"""Keeps the equations solvable where two columns cannot be told apart."""
+"""Keeps the equations solvable where two columns cannot be determined apart."""
 CORRELATED: Final = 4.0
-"""An error lasts for so many looks: 40 ms."""
+"""An error lasts for this many measurements: 40 ms."""
 
 
 class Known(NamedTuple):
@@ -49,7 +49,7 @@ class SwingFit(NamedTuple):
     """Of engine and vehicle together, at the propeller shaft, had the torque stayed as at first."""
 
 
-class EngineCourse(NamedTuple):
+class EngineTrajectory(NamedTuple):
     """Times (s), engine speeds and engine torques, both at the propeller shaft."""
 
     time_s: Vector
@@ -60,24 +60,26 @@ class EngineCourse(NamedTuple):
 class _Scan(NamedTuple):
     """The best fits for a row of frequencies."""
 
-    misfits: Vector
+    deviances: Vector
     """Sums of squares over variances, without those of what was known."""
     found: Vector
     """Acceleration, y and its standard deviation, a row each."""
 
 
-def fit_swing(course: EngineCourse, ratio: float, engine_kgm2: float, known: Known) -> SwingFit:
+def fit_swing(
+    trajectory: EngineTrajectory, ratio: float, engine_kgm2: float, known: Known
+) -> SwingFit:
     """What is known after these speeds. ratio: of the engine's speed to the propeller shaft's."""
     before = 1.0 / engine_kgm2 + known.vehicle_inverse
     square, reach = known.stiffness_nm_rad * before, known.vehicle_sd / before
     logs = np.linspace(-REACH_SD, REACH_SD, FREQUENCIES) * math.hypot(known.stiffness_sd, reach)
     omegas = np.sqrt(square * np.exp(logs))
     sd = LEAST_SPEED_SD / ratio
-    first = _scan(course, engine_kgm2, known, omegas, sd)
+    first = _scan(trajectory, engine_kgm2, known, omegas, sd)
     # What the model leaves out lasts longer than from look to look: errors are larger, and fewer.
-    sd *= math.sqrt(CORRELATED * max(1.0, float(first.misfits.min()) / len(course.time_s)))
-    misfits, found = _scan(course, engine_kgm2, known, omegas, sd)
-    weights = np.exp(-0.5 * (misfits - misfits.min()))
+    sd *= math.sqrt(CORRELATED * max(1.0, float(first.deviances.min()) / len(trajectory.time_s)))
+    deviances, found = _scan(trajectory, engine_kgm2, known, omegas, sd)
+    weights = np.exp(-0.5 * (deviances - deviances.min()))
     weights /= weights.sum()
     log = float(weights @ logs)
     log_sd = math.sqrt(float(weights @ (logs - log) ** 2) + (logs[1] - logs[0]) ** 2 / 12.0)
@@ -95,18 +97,18 @@ def fit_swing(course: EngineCourse, ratio: float, engine_kgm2: float, known: Kno
 
 
 def _scan(
-    course: EngineCourse, engine_kgm2: float, known: Known, omegas: Vector, sd: float
+    trajectory: EngineTrajectory, engine_kgm2: float, known: Known, omegas: Vector, sd: float
 ) -> _Scan:
     """The best fit for each frequency, all at once by their normal equations; sd: of a speed at the
     propeller shaft."""
-    at_s = course.time_s - course.time_s[0]
-    pull_nm = course.torque_nm - course.torque_nm[0]
+    at_s = trajectory.time_s - trajectory.time_s[0]
+    pull_nm = trajectory.torque_nm - trajectory.torque_nm[0]
     turned = omegas[:, None] * at_s
     cosine, sine = np.cos(turned), np.sin(turned)
     whole, swung = _answers(at_s, pull_nm, omegas, cosine, sine)
     even = np.broadcast_to(np.ones_like(at_s), cosine.shape)
     columns = np.stack((even, np.broadcast_to(at_s, cosine.shape), cosine, sine, whole - swung), 1)
-    wanted = course.omega_rad_s - course.omega_rad_s[0] - swung / engine_kgm2
+    wanted = trajectory.omega_rad_s - trajectory.omega_rad_s[0] - swung / engine_kgm2
     share = 1.0 + engine_kgm2 * known.vehicle_inverse
     together, weight = known.vehicle_inverse / share, (sd * share**2 / known.vehicle_sd) ** 2
     normal = columns @ columns.transpose(0, 2, 1)
@@ -129,7 +131,7 @@ def _answers(
     at_s: Vector, pull_nm: Vector, omegas: Vector, cosine: Vector, sine: Vector
 ) -> tuple[Vector, Vector]:
     """Integrals of the torque, and of it times cos w(t - s), at each time for each frequency; the
-    torque is taken to be even between two looks."""
+    torque is taken to be even between two measurements."""
     middle_s, step = 0.5 * (at_s[1:] + at_s[:-1]), np.diff(at_s)
     impulse = 0.5 * (pull_nm[1:] + pull_nm[:-1]) * step
     turned = omegas[:, None] * middle_s

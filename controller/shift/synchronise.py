@@ -8,7 +8,7 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.brake_look import brake_holds
+from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -22,7 +22,7 @@ KEEP_US: Final = 6 * MS_IN_US
 come out slightly too early to be sent, and the sleeve would have to wait for the next gap. And the
 next step comes soon enough after it to call the sleeve back (`engage`)."""
 WITHDRAW_US: Final = 4 * MS_IN_US
-"""A firing nearer than this is not taken back: its valve could have opened before."""
+"""A firing nearer than this is not withdrawn: its valve could have opened before."""
 RELEASE_HORIZON_US: Final = 90 * MS_IN_US
 """A release further ahead than this is not sent yet: the valve side accepts at most 100 ms."""
 

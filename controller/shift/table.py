@@ -117,7 +117,7 @@ class ShiftRecord:
     reference_source: ReferenceSource = ReferenceSource.NONE
     attempts: int = 0
     calls: int = 0
-    """How often a sleeve was called back before it had moved."""
+    """How often a sleeve was recalled before it had moved."""
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""
     beyond_us: int | None = None

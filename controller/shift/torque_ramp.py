@@ -29,7 +29,7 @@ BESIDE_SHARE: Final = 0.005
 """The guard allows for a step of the torque, a per cent, and rounding; half of a step is taken by
 `owed_share`."""
 BEFORE: Final = 1.0
-"""So many periods before the ramp are looked at with it."""
+"""This many periods before the ramp are looked at with it."""
 LEAST_BEFORE_US: Final = 400 * MS_IN_US
 """but so long at least."""
 MOST_LATE: Final = 1.5

@@ -29,8 +29,9 @@ SHAPES: Final = ((1.0,), (0.5, 0.5), (0.25, 0.5, 0.25))
 THROWN_SHARE: Final = 1.0 / 3.0
 """What is left may throw the main shaft off its flank so fast that it turns by this share of the
 dog teeth's backlash while a sleeve is on its way."""
-TOLD_SD: Final = 2.0
-"""A torque of the shafts is told from none where it is so many times as large as its error."""
+REPORTED_SD: Final = 2.0
+"""A torque of the shafts is distinguished from none where it is this many times as large as its
+error."""
 
 
 class GearedBodies(NamedTuple):
@@ -90,7 +91,7 @@ def geared_bodies(
 
 def _harmless_nm(sheet: GearboxSheet, gear: DriveGear) -> float:
     """The torque of the shafts that throws the main shaft off no faster than it may be: a mass
-    that a spring lets go leaves it with T / sqrt(k J)."""
+    that a spring releases leaves it with T / sqrt(k J)."""
     axle, main = sheet.axle, sheet.range_mesh(gear.range_).ratio
     thrown_rad_s = main * THROWN_SHARE * sheet.dog.backlash_rad / sheet.sleeve.delay_s
     turned_kgm2 = axle.propeller_kgm2 + axle.main_kgm2 / main**2
@@ -156,8 +157,9 @@ def unloading(
     left_nm = bodies.coasting_nm(coasting_rad_s2)
     doubt_nm = bodies.ratio * own_sd_nm
     away_nm = abs(pulled_nm) + doubt_nm
-    if abs(pulled_nm) < max(TOLD_SD * doubt_nm, bodies.harmless_nm):
-        # Nothing that could be told from none: the shafts are as much at rest as they can be.
+    if abs(pulled_nm) < max(REPORTED_SD * doubt_nm, bodies.harmless_nm):
+        # Nothing that could be distinguished from none: the shafts are as much at rest as they can
+        # be.
         return [Unloading(bodies, own_nm, own_nm, SHAPES[0], 0.0, 1, now_us, now_us)]
     swings = math.sin(0.5 * math.pi * min(bodies.tolerance, 1.0))
     found = []

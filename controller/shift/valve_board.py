@@ -35,21 +35,21 @@ NONE_DRIVEN: Final[Driven] = (False,) * len(ValveName)
 _COILS: Final = 1
 _SLOTS: Final = _COILS + len(ValveName)
 _AFTER: Final = _SLOTS + len(ValveName)
-"""From where on a ValveStatus tells what is driven, and what is pending."""
+"""From where on a ValveStatus says what is driven, and what is pending."""
 
 
 def energised(status: ValveStatus) -> list[ValveName]:
-    """The valves whose coils the valve side tells as driven."""
+    """The valves whose coils the valve side reports as driven."""
     return [valve for valve in ValveName if status[_COILS + valve]]
 
 
 def driven_or_pending(status: ValveStatus | None) -> Driven:
-    """Whether the valve side tells a valve's coil as driven, or its activation as pending: none,
+    """Whether the valve side reports a valve's coil as driven, or its activation as pending: none,
     before its first frame."""
     if status is None:
         return NONE_DRIVEN
-    told = zip(status[_COILS:_SLOTS], status[_SLOTS:_AFTER], strict=True)
-    return tuple([bool(driven or pending) for driven, pending in told])
+    reported = zip(status[_COILS:_SLOTS], status[_SLOTS:_AFTER], strict=True)
+    return tuple([bool(driven or pending) for driven, pending in reported])
 
 
 _ACTION: Final = itemgetter(0)

@@ -68,7 +68,7 @@ class Parts:
 
 
 def _signal(name: str, bits: int, comment: str, like: str = "", scale: float = 0.0) -> SignalSpec:
-    """A signal of so many bits. `like`: Message.Signal of meshpoint.dbc, whose unit, table and
+    """A signal of this many bits. `like`: Message.Signal of meshpoint.dbc, whose unit, table and
     range it has; scale: of its own, from the same zero."""
     if not like:
         top = (1 << bits) - 1

@@ -55,7 +55,7 @@ class Bench(Watching):
     gear: the gear the rig stands in at the start.
     controller, rig: a core of your own instead of ours (`Core`). A controller must send
         ControllerStatus and ShiftOutcome, a rig ReferenceEngagement, or a shift has no record.
-    log: records the bus, its format told by the ending (.log, .blf, .asc), with the run header
+    log: records the bus, its format known by the ending (.log, .blf, .asc), with the run header
         beside it where the controller is ours.
     """
 

@@ -45,7 +45,7 @@ class LiveBench(Watching):
         process (`virtual`) they always are.
     start: the nodes to start, of `rig` and `controller`; the others are on the bus already, as
         hardware is. Then bus time is wall time. Without a rig there is no truth: `contact` is None.
-    speed: run so many times as fast as the wall clock; slower where a machine cannot keep up.
+    speed: run this many times as fast as the wall clock; slower where a machine cannot keep up.
     log: the file that the bus is recorded to; without it, one that is deleted at the end.
     node_arguments, controller_arguments, rig_arguments: further words of the command lines of both
         nodes, or of one (`meshpoint rig -h`).

@@ -37,7 +37,7 @@ LEARNING_TRIES = 3
 
 
 class ShiftError(RunError):
-    """A shift that was refused, or of which the bus has told no end; the message says why."""
+    """A shift that was refused, or of which the bus has reported no end; the message says why."""
 
 
 class Watching(ABC):
@@ -177,7 +177,7 @@ class Watching(ABC):
 
     @abstractmethod
     def _order(self, order: Callable[[], None]) -> None:
-        """Has the operator told something, where it may be."""
+        """Has the operator reported something, where it may be."""
 
     @abstractmethod
     def _until_done(self) -> None:

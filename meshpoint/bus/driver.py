@@ -30,7 +30,7 @@ _LAST_SEND_TIMEOUT_S = 0.2
 
 # The transmit queue is full (the first three), or the device cannot send such a frame at all.
 _REFUSALS = {errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK, errno.EINVAL}
-# How python-can reports a full socketcan queue when it is not told to wait: without a code.
+# How python-can reports a full socketcan queue when it is not asked to wait: without a code.
 _QUEUE_FULL_TEXT = "Transmit buffer full"
 # The kernel's error frames, alone of all interfaces': linux/can/error.h.
 _SOCKETCAN = "SocketcanBus"
@@ -119,10 +119,10 @@ class _Node:
         self._failure: asyncio.Future[None] = self._loop.create_future()
         self._lost_at_s: float | None = None  # until the next bus has carried a frame
         self._refusal = ""  # the last one, in words
-        self._refusals_told = (float("-inf"), 0)  # when, and how many
-        self._bus_off_told_at_s = float("-inf")
+        self._refusals_reported = (float("-inf"), 0)  # when, and how many
+        self._bus_off_reported_at_s = float("-inf")
         self._lost_before = 0  # of this bus; counted
-        self._loss_told = (float("-inf"), 0)  # when, and how many
+        self._loss_reported = (float("-inf"), 0)  # when, and how many
 
     async def run(self, stop: asyncio.Event) -> None:
         self._attach(await asyncio.to_thread(self._open_bus))
@@ -191,18 +191,18 @@ class _Node:
             self._lose_bus(error)
 
     def _count_lost(self) -> None:
-        """Frames that the kernel could not deliver: told at once, then once a second."""
+        """Frames that the kernel could not deliver: reported at once, then once a second."""
         if self._bus is None:
             return
         counts, lost = self.statistics, lost_frames(self._bus)
         counts.frames_lost += lost - self._lost_before
         self._lost_before = lost
-        now_s, (told_s, told) = self._loop.time(), self._loss_told
-        if counts.frames_lost > told and now_s - told_s >= _REPORT_EVERY_S:
-            self._loss_told = (now_s, counts.frames_lost)
+        now_s, (reported_s, reported) = self._loop.time(), self._loss_reported
+        if counts.frames_lost > reported and now_s - reported_s >= _REPORT_EVERY_S:
+            self._loss_reported = (now_s, counts.frames_lost)
             self._say(
-                f"{counts.frames_lost - told} frames lost in the kernel ({counts.frames_lost} so "
-                "far): bus or machine overloaded, they came faster than this node reads"
+                f"{counts.frames_lost - reported} frames lost in the kernel ({counts.frames_lost} "
+                "so far): bus or machine overloaded, they came faster than this node reads"
             )
 
     def _accept(self, message: can.Message) -> None:
@@ -245,9 +245,9 @@ class _Node:
     def _tell_bus_off(self) -> None:
         """At once, then once a second: one that restarts may go bus-off ten times a second."""
         now_s = self._loop.time()
-        if now_s - self._bus_off_told_at_s < _REPORT_EVERY_S:
+        if now_s - self._bus_off_reported_at_s < _REPORT_EVERY_S:
             return
-        self._bus_off_told_at_s = now_s
+        self._bus_off_reported_at_s = now_s
         self._say(
             f"CAN controller is bus-off ({self.statistics.bus_offs} so far): after "
             "too many errors it has left the bus, nothing is sent or heard until it restarts. "
@@ -302,11 +302,11 @@ class _Node:
     def _tell_refusals(self, *, last: bool = False) -> None:
         """At once, then once a second, and what is left at the end: none goes untold."""
         now_s, refused = self._loop.time(), self.statistics.frames_refused
-        told_s, told = self._refusals_told
-        if refused == told or (now_s - told_s < _REPORT_EVERY_S and not last):
+        reported_s, reported = self._refusals_reported
+        if refused == reported or (now_s - reported_s < _REPORT_EVERY_S and not last):
             return
-        self._refusals_told = (now_s, refused)
-        self._say(f"{self._refusal} ({refused - told} frames refused, {refused} so far)")
+        self._refusals_reported = (now_s, refused)
+        self._say(f"{self._refusal} ({refused - reported} frames refused, {refused} so far)")
 
     def _attach(self, bus: can.BusABC) -> None:
         self._reception = receive_from(bus, self._turn)

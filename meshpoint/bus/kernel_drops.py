@@ -1,6 +1,6 @@
 """How many frames the kernel has thrown away because a node did not read its socket in time.
 
-Linux tells with each message that it delivers how many it could not (SO_RXQ_OVFL), where that is
+Linux reports with each message that it delivers how many it could not (SO_RXQ_OVFL), where that is
 asked for. python-can does not ask, and would not take the answer: so its socket is put into one
 that asks and keeps the answer.
 """
@@ -27,24 +27,24 @@ class CountingSocket:
         inner.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
         self._inner = inner
         self._room = socket.CMSG_SPACE(_COUNT.size)
-        self._told = 0
+        self._reported = 0
         self.lost = 0
         """Messages lost so far."""
 
     def recvmsg(self, size: int, ancillary_bytes: int = 0, flags: int = 0) -> Any:
         """As socket.recvmsg, the count of lost messages taken out."""
-        data, ancillary, told, address = self._inner.recvmsg(
+        data, ancillary, reported, address = self._inner.recvmsg(
             size, ancillary_bytes + self._room, flags
         )
         rest = []
         for level, kind, content in ancillary:
             if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
                 (count,) = _COUNT.unpack_from(content)
-                self.lost += (count - self._told) % MODULUS
-                self._told = count
+                self.lost += (count - self._reported) % MODULUS
+                self._reported = count
             else:
                 rest.append((level, kind, content))
-        return data, rest, told, address
+        return data, rest, reported, address
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
@@ -58,6 +58,6 @@ def count_lost_frames(bus: can.BusABC) -> None:
 
 
 def lost_frames(bus: can.BusABC) -> int:
-    """Frames that the kernel has thrown away since the bus was opened; 0 where nobody tells."""
+    """Frames that the kernel has thrown away since the bus was opened; 0 where nobody reports."""
     counting = getattr(bus, "socket", None)
     return counting.lost if isinstance(counting, CountingSocket) else 0

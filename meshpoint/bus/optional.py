@@ -21,7 +21,7 @@ def proven(core: Core, keys: CommandKeys) -> Core:
 
 def verified(core: Core, keys: CommandKeys, random_bits: Callable[[int], int]) -> Core:
     """The rig that takes proven commands alone. KeysError as above. random_bits: draws a whole
-    number of so many bits, for challenges."""
+    number of this many bits, for challenges."""
     from meshpoint.bus.authentication.cores import VerifyingCore
     from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 
@@ -29,11 +29,11 @@ def verified(core: Core, keys: CommandKeys, random_bits: Callable[[int], int]) -
 
 
 def diagnosed(core: Core, version: str, address: int) -> Core:
-    """The controller that claims its address, tells trouble codes and answers testers
+    """The controller that claims its address, reports trouble codes and answers testers
     (docs/diagnosis.md). address: the controller's on the bus, for what is said of it."""
     from meshpoint.bus.diagnosis.core import DiagnosedCore
 
-    return DiagnosedCore(core, version, told_as=address)
+    return DiagnosedCore(core, version, reported_as=address)
 
 
 def classic_controller(core: Core, sheet: GearboxSheet) -> Core:

@@ -48,7 +48,7 @@ _SIZE = struct.calcsize(_LAYOUT)
 
 
 def tick_s(speed: float) -> float:
-    """Wall seconds between two looks at the wall clock: half a millisecond of bus time."""
+    """Wall seconds between two polls at the wall clock: half a millisecond of bus time."""
     return TICK_S / min(1.0, speed)
 
 

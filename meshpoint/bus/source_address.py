@@ -95,6 +95,6 @@ def _rechecked(before: int, after: int, data: bytes) -> bytes:
     """The checksum is off by as much as it was."""
     if data[7] == CARRIES_NONE:
         return data
-    counter, told = data[7] & 0x0F, data[7] >> 4
+    counter, reported = data[7] & 0x0F, data[7] >> 4
     change = checksum(after, data, counter) - checksum(before, data, counter)
-    return data[:7] + bytes([(told & 0x08 | (told + change) & 0x07) << 4 | counter])
+    return data[:7] + bytes([(reported & 0x08 | (reported + change) & 0x07) << 4 | counter])

@@ -85,7 +85,7 @@ class LastingError(_Around):
 
 
 class NamedOutput(_Around):
-    """Standard output whose errors are told from those of other pipes and files."""
+    """Standard output whose errors are distinguished from those of other pipes and files."""
 
     def failed(self, error: OSError, text: str) -> int:  # noqa: ARG002
         """Raises OutputError."""

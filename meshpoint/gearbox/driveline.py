@@ -69,7 +69,7 @@ class Axle:
     """Loss at the flanks of the final drive over their torque and speed (Hunt and Crossley 1975): a
     blow at 1 rad/s loses about two thirds of it."""
     flank_loss_factor: float = quantity("flank_loss_factor", 1.1, 10.0, default=2.0)
-    """The loss at the flanks may be so many times as large or small."""
+    """The loss at the flanks may be this many times as large or small."""
     wheels_kgm2: float = quantity("wheels_inertia_kgm2", 0.1, 200.0, default=16.0)
     """Driven wheels and final drive."""
     tyre_nm_rad: float = quantity("tyre_nm_rad", 1e3, 1e6, default=90e3)
@@ -87,7 +87,7 @@ class Axle:
     loose_nm: float = quantity("loose_nm", 0.0, 50.0, default=2.0)
     """Drag of the loose gears' bearings on the main shaft, at the main shaft."""
     vehicle_start_rad_s: float = quantity("vehicle_start_rad_s", 0.01, 10.0, default=0.3)
-    """Standard deviation of the vehicle's speed at the main shaft as told by the shafts in gear,
+    """Standard deviation of the vehicle's speed at the main shaft as known from the shafts in gear,
     beside what their swing hides."""
     wheels_start_rad_s: float = quantity("wheels_start_rad_s", 0.01, 10.0, default=0.15)
     """Standard deviation of the wheels' speed against the vehicle's, at the main shaft."""

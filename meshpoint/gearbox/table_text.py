@@ -58,7 +58,7 @@ def _text(value: Any, rule: Rule) -> str:
 
 
 def number(value: float, digits: int) -> str:
-    """To so many digits; always with a point or an exponent, so that it is read as a float."""
+    """To this many digits; always with a point or an exponent, so that it is read as a float."""
     text = f"{value:.{digits}g}"
     if text == "-0":
         text = "0"

@@ -18,7 +18,7 @@ from meshpoint.gearbox.reading import UnreadableError, read_text
 
 TABLE_LIMIT_BYTES: Final = 256 * 1024
 DEPTH_LIMIT: Final = 6
-# A key of so many parts, or a text that looks like one: reading it takes time by their square.
+# A key of this many parts, or a text that looks like one: reading it takes time by their square.
 _LONG_KEY: Final = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""", re.ASCII
 )

@@ -23,7 +23,7 @@ EVENT_ITERATIONS: Final = 60
 TORQUE_MARGIN_NM: Final = 0.2
 TORQUE_S: Final = 1e-9
 SHAKEN_TORQUE_S: Final = 1e-6
-"""Where torques of chance turn, they do so often, and slowly: under 1 mNm in a microsecond."""
+"""Where torques of chance turn, they do this often, and slowly: under 1 mNm in a microsecond."""
 AT_FLANK_RAD: Final = 1e-7
 MEETING_HALVINGS: Final = 22
 RETURN_HALVINGS: Final = 12

@@ -72,7 +72,7 @@ KINDS: Final[dict[RigFault, Kind]] = {
         "the rig's event loop hangs; what was due comes in one go afterwards", "-", 0, "-"
     ),
     RigFault.WHEEL_FACTOR: Kind(
-        "a speed wheel gives so many times its edges", WHEEL_TARGETS, 4, "factor, 0..4"
+        "a speed wheel gives this many times its edges", WHEEL_TARGETS, 4, "factor, 0..4"
     ),
 }
 

@@ -40,7 +40,7 @@ STOPPED: Final = 40  # the layshaft has come to rest
 LINK_SLIPS: Final = 50  # + link: its torque has left low_nm..high_nm
 CAN_RELEASE: Final = 60
 LET_GO: Final = 61  # the brake cannot hold the layshaft any more
-MEETS_FLANK: Final = 70  # + side: a flank of the final drive is met or left; not told to the caller
+MEETS_FLANK: Final = 70  # + side: a flank of the final drive is met or left; kept here
 
 # --- sensor wheels ------------------------------------------------------------------------------
 WHEELS: Final = 4

@@ -151,7 +151,9 @@ def test_a_malformed_sheet_is_refused_by_file_and_key(
 
 
 @pytest.mark.parametrize("name", ["negative", "too large", "nan", "no tooth"])
-def test_a_value_out_of_range_is_told_the_range(refusals: dict[str, Outcome], name: str) -> None:
+def test_a_value_out_of_range_is_reported_the_range(
+    refusals: dict[str, Outcome], name: str
+) -> None:
     line = refusals[f"sheet: {name}"].err.lower()
     hints = ("allowed", "must be", "between", "range", "..", "expected", "at least")
     assert any(word in line for word in hints), refusals[f"sheet: {name}"].text

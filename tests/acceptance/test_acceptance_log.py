@@ -139,8 +139,8 @@ def test_every_frame_of_the_others_is_consumed_by_one_step(recorded: Recorded, w
 
 
 def test_the_run_hash_is_that_of_the_header_beside_the_log(recorded: Recorded, wire: Wire) -> None:
-    told = decoded(recorded, wire, "ControllerStatus")
-    hashes = {int(one["RunHashHigh"]) << 32 | int(one["RunHashLow"]) for one in told}
+    reported = decoded(recorded, wire, "ControllerStatus")
+    hashes = {int(one["RunHashHigh"]) << 32 | int(one["RunHashLow"]) for one in reported}
     assert len(hashes) == 1
     beside = [path for path in recorded.log.parent.iterdir() if path != recorded.log]
     assert beside, "no run header was saved beside the log"

@@ -59,7 +59,7 @@ def test_a_shift_goes_on_while_time_does() -> None:
         assert bench.shifts[0].strategy == "speed_window"
 
 
-def test_time_that_runs_out_is_told() -> None:
+def test_time_that_runs_out_is_reported() -> None:
     with meshpoint.Bench(preset="thesis") as bench:
         with pytest.raises(TimeoutError, match=r"within 0\.05 s of virtual time"):
             bench.run_until(lambda bench: bench.shifts, timeout_s=0.05)
@@ -71,7 +71,7 @@ def test_time_that_runs_out_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "told"),
+    ("call", "reported"),
     [
         (lambda bench: bench.shift(15), r"gear 15, allowed are 1 to 14"),
         (lambda bench: bench.shift(8), r"in gear 8 already"),
@@ -79,9 +79,9 @@ def test_time_that_runs_out_is_told() -> None:
         (lambda bench: bench.send(messages.ValveCommand()), r"does not send ValveCommand"),
     ],
 )
-def test_what_a_bench_cannot_do_is_said_before_anything_moves(call, told: str) -> None:
+def test_what_a_bench_cannot_do_is_said_before_anything_moves(call, reported: str) -> None:
     with meshpoint.Bench(preset="thesis") as bench:
-        with pytest.raises((ValueError, meshpoint.TableError), match=told):
+        with pytest.raises((ValueError, meshpoint.TableError), match=reported):
             call(bench)
         assert bench.now_s == 0.0
 

@@ -19,7 +19,7 @@ LAST = Frame(0x18FF0001, b"off")
 
 
 class Metronome:
-    """A core that sends the number of its step every 10 ms, and keeps what it is told."""
+    """A core that sends the number of its step every 10 ms, and keeps what it is reported."""
 
     def __init__(self, address: int = 1) -> None:
         self.address = address
@@ -44,7 +44,7 @@ class Metronome:
 
 
 class Counting(Metronome):
-    """Tells when it has made so many steps."""
+    """Says when it has made this many steps."""
 
     def __init__(self, steps: int) -> None:
         super().__init__()

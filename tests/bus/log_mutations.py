@@ -85,9 +85,10 @@ def lost_lines(original: bytes, content: bytes) -> int:
 
 def silent_partial_reads(ending: str, count: int, seed: int, folder: Path) -> Counter[str]:
     """Damages `count` copies of a log. `silent`: fewer entries than written were read and nothing
-    was told; `told`: an error or a log called unfinished; `whole`: nothing is missing; `shorter`: a
-    text log from which bytes were taken such that what is left is a well-formed log with as many
-    fewer lines, which no reader can tell (`tests/closed_loop/test_damaged_logs.py` can)."""
+    was reported; `reported`: an error or a log called unfinished; `whole`: nothing is missing;
+    `shorter`: a text log from which bytes were taken such that what is left is a well-formed log
+    with as many fewer lines, which no reader can tell (`tests/closed_loop/test_damaged_logs.py`
+    can)."""
     path = folder / f"mutated{ending}"
     mixed_log(path, 300)
     original = path.read_bytes()
@@ -99,7 +100,7 @@ def silent_partial_reads(ending: str, count: int, seed: int, folder: Path) -> Co
         path.write_bytes(content)
         read, is_content = entries(path)
         if not is_content:
-            found["told"] += 1
+            found["reported"] += 1
         elif read >= written:
             found["whole"] += 1
         elif (

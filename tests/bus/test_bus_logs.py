@@ -1,4 +1,5 @@
-"""Recorded buses: what was written can be read, and what cannot is told in one kind of error."""
+"""Recorded buses: what was written can be read, and what cannot is reported in one kind of
+error."""
 
 import asyncio
 import struct
@@ -146,9 +147,9 @@ def test_candump_error_frames_of_every_class_are_no_data_frames(tmp_path: Path) 
 BLF_HEADER = struct.pack("<4sLBBBBBBBBQQLL8H8H", b"LOGG", 144, *(0,) * 28).ljust(144, b"\0")
 
 
-def blf_container(method: int, content: bytes, told: int) -> bytes:
+def blf_container(method: int, content: bytes, reported: int) -> bytes:
     size = 32 + len(content)
-    head = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, size, 10, method, told)
+    head = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, size, 10, method, reported)
     return head + content + bytes(size % 4)
 
 
@@ -257,10 +258,10 @@ def test_a_blf_log_cut_anywhere_is_an_error(tmp_path: Path, part: float) -> None
         list(read_log(path))
 
 
-@pytest.mark.parametrize("told", [64_000_000, 1000])
-def test_a_blf_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, told: int) -> None:
+@pytest.mark.parametrize("reported", [64_000_000, 1000])
+def test_a_blf_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, reported: int) -> None:
     path = tmp_path / "bomb.blf"
-    path.write_bytes(BLF_HEADER + blf_container(2, zlib.compress(bytes(64_000_000), 1), told))
+    path.write_bytes(BLF_HEADER + blf_container(2, zlib.compress(bytes(64_000_000), 1), reported))
     tracemalloc.start()
     with pytest.raises(LogError, match="offset 144"):
         list(read_log(path))

@@ -282,7 +282,7 @@ def test_a_lost_read_dates_nothing_wrong() -> None:
     assert FrameVerdict.WRONG_SEQUENCE in {verdict for verdict, _ in found}
 
 
-def test_a_repeated_frame_is_told_as_one() -> None:
+def test_a_repeated_frame_is_reported_as_one() -> None:
     sender, intake = SensorSender(SHEET), SensorIntake(SHEET)
     receiver = Receiver(Node.TRANSMISSION_CONTROL)
     for number in range(1, 12):

@@ -124,7 +124,7 @@ def garage(running: tuple[Running, str]) -> Iterator[Garage]:
     tool.end()
 
 
-def test_faults_are_told_as_dm1_and_cleared_by_dm3(running, garage: Garage) -> None:
+def test_faults_are_reported_as_dm1_and_cleared_by_dm3(running, garage: Garage) -> None:
     node, _ = running
     until(lambda: garage.codes is not None, "a DM1 of a node that has nothing to tell")
     node.controller.fault = FaultCode.LOW_SUPPLY
@@ -153,10 +153,10 @@ def test_the_address_is_claimed_when_it_starts_and_when_it_is_asked(running) -> 
             return bool(claims)
 
         until(claimed, "an answer")
-    told = j1939.Name(bytes=list(claims[0].data))
-    assert (told.function, told.arbitrary_address_capable) == (3, 0)
-    assert told.industry_group == j1939.Name.IndustryGroup.OnHighway
-    assert told.identity_number == 1
+    reported = j1939.Name(bytes=list(claims[0].data))
+    assert (reported.function, reported.arbitrary_address_capable) == (3, 0)
+    assert reported.industry_group == j1939.Name.IndustryGroup.OnHighway
+    assert reported.identity_number == 1
 
 
 class Number(udsoncan.DidCodec):

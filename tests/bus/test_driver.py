@@ -126,7 +126,7 @@ async def test_a_node_whose_bus_is_away_ends_at_once(
 
 
 @pytest.mark.asyncio
-async def test_a_reopened_bus_that_carries_nothing_is_not_called_back(
+async def test_a_reopened_bus_that_carries_nothing_is_not_recalled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("meshpoint.bus.driver.RECONNECT_S", 0.05)
@@ -174,8 +174,8 @@ async def test_only_data_frames_of_others_reach_the_core() -> None:
     )
     assert (counted.error_frames, counted.remote_frames, counted.own_address_frames) == (2, 2, 2)
     assert counted.frames_received == 4
-    told = [event for event in node.events if "on the bus" in event]
-    assert len(told) == 3
+    reported = [event for event in node.events if "on the bus" in event]
+    assert len(reported) == 3
 
 
 @pytest.mark.asyncio

@@ -1,4 +1,4 @@
-"""What a live node does and tells where its bus takes no frames, or its controller is bus-off."""
+"""What a live node does and says where its bus takes no frames, or its controller is bus-off."""
 
 import asyncio
 import errno
@@ -43,7 +43,7 @@ def test_a_frame_that_the_bus_refuses_is_dropped_and_the_node_goes_on(error: Exc
 
 
 def test_every_refused_frame_is_told_of_soon_or_at_the_end() -> None:
-    """Forty in the first 0.4 s, of which the first is told at once; the others within a second,
+    """Forty in the first 0.4 s, of which the first is reported at once; the others within a second,
     though no further one is refused. And what is refused last, before the node ends."""
     full = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
 
@@ -54,18 +54,18 @@ def test_every_refused_frame_is_told_of_soon_or_at_the_end() -> None:
             await asyncio.sleep(0.005)
         bus.send_error = None
         await asyncio.sleep(1.5)
-        told = len(counts_told(node))
+        reported = len(counts_reported(node))
         bus.send_error = full
         await node.end_in_fake_time()
-        return node, told
+        return node, reported
 
-    def counts_told(node: Run) -> list[list[str]]:
+    def counts_reported(node: Run) -> list[list[str]]:
         refusals = [event for event in node.events if "not sent" in event]
         return [re.findall(r"\d+", refusal)[-2:] for refusal in refusals]
 
-    node, told = run_in_fake_time(bursts)
-    assert counts_told(node) == [["1", "1"], ["39", "40"], ["1", "41"]]
-    assert told == 2
+    node, reported = run_in_fake_time(bursts)
+    assert counts_reported(node) == [["1", "1"], ["39", "40"], ["1", "41"]]
+    assert reported == 2
 
 
 class SocketcanBus(ScriptedBus):
@@ -74,7 +74,7 @@ class SocketcanBus(ScriptedBus):
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize("kind", [SocketcanBus, ScriptedBus])
-async def test_a_bus_off_is_told_with_the_way_back_where_the_kernel_tells_it(
+async def test_a_bus_off_is_reported_with_the_way_back_where_the_kernel_tells_it(
     kind: type[ScriptedBus],
 ) -> None:
     """Classes 0x040 and 0x100 of linux/can/error.h; other interfaces mean other things by them."""
@@ -86,11 +86,11 @@ async def test_a_bus_off_is_told_with_the_way_back_where_the_kernel_tells_it(
     node = Run(Metronome(), lambda: kind(messages=tuple(frames)), on_message=seen.append)
     await node.until(lambda: len(seen) == 3)
     counted = await node.end()
-    told = [event for event in node.events if "bus-off" in event]
+    reported = [event for event in node.events if "bus-off" in event]
     if kind is ScriptedBus:
-        assert (counted.bus_offs, told) == (0, [])
+        assert (counted.bus_offs, reported) == (0, [])
         return
     assert counted.bus_offs == 2
-    assert len(told) == 2, "two within a second are told once"
-    assert "With restart-ms 0 it never does by itself" in told[0]
-    assert "restarted after bus-off (2 so far)" in told[1]
+    assert len(reported) == 2, "two within a second are reported once"
+    assert "With restart-ms 0 it never does by itself" in reported[0]
+    assert "restarted after bus-off (2 so far)" in reported[1]

@@ -195,7 +195,7 @@ def test_a_port_that_other_machines_reach_is_refused(start: Start) -> None:
         MeshpointBus("tcp:192.0.2.1:29999")
 
 
-def test_something_else_on_the_port_is_told_from_a_hub() -> None:
+def test_something_else_on_the_port_is_reported_from_a_hub() -> None:
     with socket.create_server(("127.0.0.1", 0)) as stranger:
         port = stranger.getsockname()[1]
 

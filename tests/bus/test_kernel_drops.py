@@ -1,4 +1,4 @@
-"""What the kernel throws away is counted and told."""
+"""What the kernel throws away is counted and reported."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def answering_socket(counts: list[int | None]) -> Any:
             stamp = (socket.SOL_SOCKET, 35, bytes(16))
             count = counts.pop(0)
             lost = [] if count is None else [count]
-            told = [(socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("=I", n)) for n in lost]
-            return b"frame", [stamp, *told], 0, ("vcan0",)
+            reported = [(socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("=I", n)) for n in lost]
+            return b"frame", [stamp, *reported], 0, ("vcan0",)
 
     return Answering(socket.AF_UNIX, socket.SOCK_DGRAM)
 
@@ -87,7 +87,7 @@ def test_the_kernel_itself_tells_what_it_lost() -> None:
 
 
 class CountedBus(can.BusABC):
-    """A bus whose socket tells what was lost."""
+    """A bus whose socket says what was lost."""
 
     def __init__(self, counts: list[int | None]) -> None:
         self.socket = answering_socket(counts)

@@ -24,7 +24,7 @@ pytestmark = [
     pytest.mark.device,
     pytest.mark.skipif(
         sys.platform != "linux" or os.getuid() != 0,
-        reason="only root can be another user, and only Linux tells who a peer is",
+        reason="only root can be another user, and only Linux reports who a peer is",
     ),
 ]
 SERVE = """

@@ -73,17 +73,17 @@ class ArrivesAtLine:
 
 @pytest.mark.asyncio
 async def test_a_frame_that_arrives_at_any_line_of_taking_others_is_told_of() -> None:
-    bus, told = QueueBus(), asyncio.Event()
-    reception = receive_from(bus, told.set)  # type: ignore[arg-type]
+    bus, reported = QueueBus(), asyncio.Event()
+    reception = receive_from(bus, reported.set)  # type: ignore[arg-type]
     arrives = ArrivesAtLine(bus, type(reception).take)
     taken, line = 0, 0
     while not arrives.is_past_the_end:
         bus.arrive(0)
         await asyncio.sleep(0)
-        assert told.is_set()
+        assert reported.is_set()
         arrives.before(line)
-        while told.is_set():
-            told.clear()
+        while reported.is_set():
+            reported.clear()
             taken += len(reception.take().messages)
             sys.settrace(None)
             await asyncio.sleep(0)

@@ -245,7 +245,7 @@ def test_stale_frames_after_bus_off_go_out_only_where_that_is_asked_for(keeps: b
     assert ids == ([0x100, 0x101] if keeps else [0x100])
 
 
-def test_without_restart_a_node_stays_off_until_it_is_told() -> None:
+def test_without_restart_a_node_stays_off_until_it_is_reported() -> None:
     bus = CanBus(2, restarts=False)
     bus.force_bus_off(0, 0)
     bus.run_to(10**9)

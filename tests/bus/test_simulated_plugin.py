@@ -138,7 +138,7 @@ def test_an_error_frame_that_is_sent_destroys_the_next_frame(
     assert receiver.error_counters == (0, 8)  # 1 + 8 for having seen it first, less 1
 
 
-def test_a_node_that_fails_is_passive_then_bus_off_and_comes_back_when_told(
+def test_a_node_that_fails_is_passive_then_bus_off_and_comes_back_when_reported(
     pair: tuple[SimulatedBus, SimulatedBus],
 ) -> None:
     sender, receiver = pair

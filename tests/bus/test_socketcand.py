@@ -102,8 +102,8 @@ def opened(server: Server, channel: str = "can0") -> can.BusABC:
 
 
 def passed(core: Core, bus: can.BusABC, to: Core, at: can.BusABC, now_us: int) -> list[str]:
-    """One step of a node: what it has to send goes over the server to the other one; what it tells
-    is returned."""
+    """One step of a node: what it has to send goes over the server to the other one; what it
+    reports is returned."""
     frames, events = core.step(now_us)
     for frame in frames:
         bus.send(message_of(frame))
@@ -121,15 +121,15 @@ def test_controller_and_rig_come_to_the_gear_over_it(server: Server) -> None:
     inner = ControllerCore(new_header("1", SHEET, ControllerSettings()))
     controller = ClassicControllerCore(inner, SHEET)
     rig = ClassicRigCore(RigCore(SHEET, RigSettings(preset=Preset.THESIS, seed=1)), SHEET)
-    told: list[str] = []
+    reported: list[str] = []
     with opened(server) as ours, opened(server) as theirs:
         for tick in range(40):
             now_us = tick * TICK_US
             passed(rig, theirs, controller, ours, now_us)
-            told += passed(controller, ours, rig, theirs, now_us)
-            if "starting -> in_gear" in told:
+            reported += passed(controller, ours, rig, theirs, now_us)
+            if "starting -> in_gear" in reported:
                 return
-    raise AssertionError(told)
+    raise AssertionError(reported)
 
 
 def test_a_bus_that_the_server_does_not_have_is_refused_in_one_line(server: Server) -> None:

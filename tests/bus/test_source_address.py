@@ -68,8 +68,8 @@ def test_what_is_sent_and_what_is_heard(wire: can.BusABC, node: can.BusABC) -> N
     wire.send(heard)
     back = node.recv(1.0)
     assert back is not None
-    told = Receiver(Node.GEARBOX_IO).receive(frame_of(back)).message
-    assert told == ValveCommand(brake_action=ValveAction.ON_NOW)
+    reported = Receiver(Node.GEARBOX_IO).receive(frame_of(back)).message
+    assert reported == ValveCommand(brake_action=ValveAction.ON_NOW)
 
 
 @pytest.mark.parametrize(("on_the_bus", "heard"), [
@@ -142,7 +142,7 @@ class Silent:
 def test_the_claim_is_of_the_bus_own_address_and_lost_to_a_smaller_name(
     wire: can.BusABC, node: can.BusABC
 ) -> None:
-    core = DiagnosedCore(Silent(), "1", told_as=OURS)
+    core = DiagnosedCore(Silent(), "1", reported_as=OURS)
 
     def step(now_us: int) -> list[str]:
         while (message := node.recv(0.0)) is not None:

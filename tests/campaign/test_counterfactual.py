@@ -107,21 +107,23 @@ def test_a_row_carries_the_landing_under_its_own_name_and_no_contact(compared: P
     for shift, true in compared:
         row = shift.to_json()
         assert row["contact"] is None
-        told = row["counterfactual"]
-        assert told["decidable"] is (told["why"] is None)
-        assert (told["contact_probability"] is None) is not told["decidable"]
+        reported = row["counterfactual"]
+        assert reported["decidable"] is (reported["why"] is None)
+        assert (reported["contact_probability"] is None) is not reported["decidable"]
         assert "phase_error_deg" not in row
         # the recorded contact is another one than that worked out
         assert true.contact in ("gap", "tooth")
 
 
-def test_a_decision_before_the_courses_part_is_the_firing_that_is_told(compared: Pairs) -> None:
+def test_a_decision_before_the_trajectories_part_is_the_firing_that_is_reported(
+    compared: Pairs,
+) -> None:
     for shift, _ in compared:
         found = shift.counterfactual
-        if found is None or not found.course:
+        if found is None or not found.trajectory:
             continue
-        assert shift.course_parted_ms is not None
-        assert found.course[0][0] >= shift.course_parted_ms - 10.0
-        assert found.course[-1][0] == pytest.approx(found.contact_ms)
-        phases = [phase for _, _, phase in found.course]
+        assert shift.trajectory_parted_ms is not None
+        assert found.trajectory[0][0] >= shift.trajectory_parted_ms - 10.0
+        assert found.trajectory[-1][0] == pytest.approx(found.contact_ms)
+        phases = [phase for _, _, phase in found.trajectory]
         assert phases == sorted(phases)  # the slip is positive: the phase only grows

@@ -66,5 +66,5 @@ def test_any_two_runs_are_asked_for_shifts_at_other_speeds() -> None:
 
 def test_any_two_worlds_of_a_swarm_differ() -> None:
     worlds = [draw_world(seed) for seed in range(50)]
-    courses = {(world.start_gear, world.layshaft_rpm, world.events) for world in worlds}
-    assert len(courses) == len(worlds)
+    trajectories = {(world.start_gear, world.layshaft_rpm, world.events) for world in worlds}
+    assert len(trajectories) == len(worlds)

@@ -49,7 +49,7 @@ def test_one_time_alone_is_forecast_as_among_many(
     release_us = on_us + 1_000.0 * braked_ms
     brake = np.array([[on_us, release_us], [1.0, 0.0]] if is_released else [[release_us], [0.0]])
     at_us = max(start_us, release_us + 1_000.0 * after_ms)
-    many = ahead.course(brake, np.array([at_us, at_us + 5_000.0]), True)
+    many = ahead.trajectory(brake, np.array([at_us, at_us + 5_000.0]), True)
     assert ahead.after_release(brake, at_us) == (many[0][0], many[1][0])
 
 

@@ -25,11 +25,11 @@ from meshpoint.testbench.campaign.intervals import (
 
 
 @given(st.lists(st.booleans(), min_size=3, max_size=60), st.integers(1, 5))
-def test_a_shift_told_twice_is_one_shift(outcomes: list[bool], times: int) -> None:
+def test_a_shift_reported_twice_is_one_shift(outcomes: list[bool], times: int) -> None:
     runs = np.arange(len(outcomes))
     once = rate_interval(np.array(outcomes), runs)
-    told = rate_interval(np.repeat(outcomes, times), np.repeat(runs, times))
-    assert told == pytest.approx(once)
+    reported = rate_interval(np.repeat(outcomes, times), np.repeat(runs, times))
+    assert reported == pytest.approx(once)
 
 
 def test_the_interval_holds_the_true_rate_of_clustered_shifts() -> None:

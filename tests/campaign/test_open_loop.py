@@ -22,9 +22,9 @@ from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs.replay import STATUS, LogReplay
 from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.open_loop import open_loop as open_loop_module
-from meshpoint.testbench.open_loop.course import Course, said
 from meshpoint.testbench.open_loop.judged import Judged, judge
 from meshpoint.testbench.open_loop.open_loop import SHIFTING, OpenLoop
+from meshpoint.testbench.open_loop.trajectory import Trajectory, said
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 4
@@ -87,9 +87,9 @@ def test_it_decides_as_the_branched_bench_until_a_valve_is_driven_differently(
     assert len(judged) == SHIFTS
     compared = 0
     for shift, branch in zip(judged, branches, strict=True):
-        # The branch's own bus, repeated as it was, tells what was really decided there.
+        # The branch's own bus, repeated as it was, says what was really decided there.
         (*_, true) = as_it_was(branch, header)
-        end_ms = shift.course_parted_ms or shift.judged_to_ms
+        end_ms = shift.trajectory_parted_ms or shift.judged_to_ms
         assert end_ms is not None
         expected = [d for d in true.decisions if d.at_ms < end_ms]
         assert [d for d in shift.decisions if d.at_ms < end_ms] == expected
@@ -101,7 +101,7 @@ def test_it_decides_as_the_branched_bench_until_a_valve_is_driven_differently(
 
 def as_it_was(branch: ClosedLoop, header: RunHeader) -> list[Judged]:
     """The decisions on the branch's own bus, as they were sent."""
-    course, start_us, found = Course(), 0, []
+    trajectory, start_us, found = Trajectory(), 0, []
     sent: list[Frame] = []
     running = False
     for frame in frames_of(branch):
@@ -112,13 +112,22 @@ def as_it_was(branch: ClosedLoop, header: RunHeader) -> list[Judged]:
         status = STATUS.decode(frame.data)
         step, sent = said(status.step_time_us, sent), []
         if not running and status.state in SHIFTING:
-            course, start_us, running = Course(), status.step_time_us, True
+            trajectory, start_us, running = Trajectory(), status.step_time_us, True
         if running:
-            course.take(step)
+            trajectory.take(step)
         if step.outcome is not None:
             settings, running = header.settings, False
             found.append(
-                judge(step.outcome, start_us, course, course, None, settings, known=0, strayed=None)
+                judge(
+                    step.outcome,
+                    start_us,
+                    trajectory,
+                    trajectory,
+                    None,
+                    settings,
+                    known=0,
+                    strayed=None,
+                )
             )
     return found
 
@@ -130,7 +139,7 @@ def test_the_recorded_strategy_itself_never_parts_and_decides_what_was_sent(
     judged = judge_log(folder, header, frames_of(loop), RECORDED)
     assert len(judged) == SHIFTS
     for shift in judged:
-        assert (shift.status, shift.parted, shift.course_parted_ms) == ("fired", None, None)
+        assert (shift.status, shift.parted, shift.trajectory_parted_ms) == ("fired", None, None)
         assert shift.last == shift.recorded
         assert shift.strategy == RECORDED
         assert shift.strayed_at_step is None

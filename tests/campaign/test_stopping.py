@@ -43,7 +43,7 @@ def test_an_interval_against_a_rate_that_is_integrated_holds_the_truth_as_often_
     own: float, half_width: int, icc: float
 ) -> None:
     """What is left of chance is in few gearboxes that miss: the more they differ, the less their
-    own spread tells of it. Where hardly any misses, an interval may hold more than it says."""
+    own spread says of it. Where hardly any misses, an interval may hold more than it says."""
     words = f"first_contact_gap difference +-{half_width}%"
     found = CoverageRun(words, (own, 0.22), icc, 6, 2048, 500, 7, is_integrated=True).run()
     assert found.median_runs < 2048

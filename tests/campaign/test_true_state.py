@@ -47,7 +47,7 @@ def test_true_state_misses_by_the_scatter_of_the_delay_alone(
 
 @pytest.mark.long
 def test_in_the_thesis_its_error_is_slip_times_what_the_delay_was_off() -> None:
-    """With the brake let go early, so that the slip at contact is that of the way there."""
+    """With the brake released early, so that the slip at contact is that of the way there."""
     window = Window(aim_slip_rad_s=1.5, aim_time_constants=3.0)
     spec = small_spec(strategies=(), learn=0, judged=4, settings=ControllerSettings(window=window))
     mean_ms = spec.sheet.sleeve.delay_s * 1e3

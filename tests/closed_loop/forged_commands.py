@@ -184,7 +184,7 @@ class Run:
 
 
 def main(argv: list[str]) -> int:
-    """Attacks until so many hostile frames were heard; 1 where the run was changed by them."""
+    """Attacks until this many hostile frames were heard; 1 where the run was changed by them."""
     count, seed = int(argv[0]), int(argv[1]) if len(argv) > 1 else 1
     attacker = Attacker(seed)
     attacked, quiet = Run(attacker, each=200), Run(None)

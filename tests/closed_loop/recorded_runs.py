@@ -228,11 +228,11 @@ def run(setup: Setup, core: ControllerCore) -> tuple[Run, Transcript]:
     ends = range(1 + bench.time.now_us // PART_US)
     for side, digests in zip((found.controller, found.others), parts, strict=True):
         side += (digests[part].hexdigest()[: 2 * DIGEST_BYTES] for part in ends)
-    found.shifts += map(told, monitor.rows.rows)
+    found.shifts += map(reported, monitor.rows.rows)
     return found, controller
 
 
-def told(row: ShiftRow) -> str:
+def reported(row: ShiftRow) -> str:
     """A shift in a line: the rig's truth of how it met its gear beside the controller's word."""
     met = f"{row.contact} at {row.phase_error_deg:.3f} deg" if row.contact else "no contact"
     return (
@@ -264,7 +264,7 @@ def repeated() -> dict[str, tuple[Run, str | None]]:
 
 
 def repeat() -> None:
-    """Tells `repeated`, on standard output."""
+    """Reports `repeated`, on standard output."""
     found = {}
     for name, setup in RUNS.items():
         alone = None

@@ -1,4 +1,4 @@
-"""Commands that go out before their event: at the right moment, taken back if it stays away."""
+"""Commands that go out before their event: at the right moment, withdrawn if it stays away."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def truck(requests: list[tuple[int, int]], **changes: Any) -> Loop:
     return Loop(requests, sheet=TRUCK12, preset=Preset.TRUCK, seed=6, **changes)
 
 
-def told(loop: Loop) -> dict[EngagementEvent, int]:
-    """When each thing first happened after the request, as the rig tells, us."""
+def reported(loop: Loop) -> dict[EngagementEvent, int]:
+    """When each thing first happened after the request, as the rig reports, us."""
     (outcome,) = loop.outcomes
     found: dict[EngagementEvent, int] = {}
     for message in loop.of(ReferenceEngagement):
@@ -46,7 +46,7 @@ def test_each_thing_happens_as_the_one_before_is_over() -> None:
     loop = truck([(1_500_000, 10)]).run(3_000_000)
     (outcome,) = loop.outcomes
     assert (outcome.result, loop.violations) == (ShiftResult.ENGAGED, 0)
-    at = told(loop)
+    at = reported(loop)
     assert 0 < at[E.RELEASED] - at[E.PLATES_PARTED] < 35_000
     assert 0 < at[E.BRAKE_FILLS] - at[E.RELEASED] < 20_000
     assert 0 < at[E.PLATES_MET] - at[E.LOCKED] < 100_000
@@ -95,7 +95,7 @@ def test_a_clutch_that_stops_half_way_takes_the_pull_back() -> None:
     (outcome,) = loop.outcomes
     assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
     assert outcome.fault in (FaultCode.CLUTCH_STUCK, FaultCode.DISENGAGE_FAILED)
-    assert E.RELEASED not in told(loop)
+    assert E.RELEASED not in reported(loop)
     assert loop.valves_driven == ()
     assert loop.violations == 0
 
@@ -107,7 +107,7 @@ def test_a_jammed_sleeve_lets_no_air_into_the_brake() -> None:
     loop.run(loop.time.now_us + 3_000_000)
     (outcome,) = loop.outcomes
     assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
-    assert E.BRAKE_FILLS not in told(loop)
+    assert E.BRAKE_FILLS not in reported(loop)
     assert not any(command.brake_action in DRIVEN for command in loop.of(ValveCommand))
 
 

@@ -41,12 +41,12 @@ PLAIN_SENSORS = {
     "dog.free_play": 0.0,
 }
 """Sensors without errors, and teeth that stay at their flank: what is asked is whether counts are
-kept, not how well a flank is told."""
+kept, not how well a flank is reported."""
 
 
 @pytest.fixture(scope="session")
 def mixed() -> Loop:
-    """The whole mixed schedule, with the rig taken back in between; the thesis's sheet."""
+    """The whole mixed schedule, with the rig withdrawn in between; the thesis's sheet."""
     return Loop(
         shifts=len(MIXED), pairs=MIXED, sheet=THESIS, preset=Preset.TRUCK, seed=5, start_gear=8
     ).run(90_000_000)
@@ -122,7 +122,7 @@ def test_a_phase_reference_survives_neutral_splitter_and_range() -> None:
         as_built=PLAIN_SENSORS,
         start_gear=2,
         toward=3,
-        seed=2,  # whose flank in second can be told
+        seed=2,  # whose flank in second can be determined
     ).run(8_000_000)
     assert [o.result for o in loop.outcomes] == [ShiftResult.ENGAGED] * 4, loop.events
     learned, *_, back = loop.outcomes
@@ -131,9 +131,9 @@ def test_a_phase_reference_survives_neutral_splitter_and_range() -> None:
     assert learned.reference is PhaseReference.UNKNOWN
     assert back.reference is PhaseReference.KNOWN
     truth = loop.last(ReferencePhase).phase_second_rad
-    told = loop.last(ControllerEstimates)
-    assert told.phase_known
-    assert abs(told.phase_rad - truth) < 0.1 * DEG
+    reported = loop.last(ControllerEstimates)
+    assert reported.phase_known
+    assert abs(reported.phase_rad - truth) < 0.1 * DEG
 
 
 def test_the_rig_agrees_that_the_gear_is_in() -> None:

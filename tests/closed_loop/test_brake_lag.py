@@ -1,4 +1,5 @@
-"""What the brake's sensor does is told from what the brake does, from the first shift on."""
+"""What the brake's sensor does is distinguished from what the brake does, from the first shift
+on."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ FIRST_AND_SECOND = 0b0110
 
 
 def run_shifts(loop: Loop, shifts: int) -> None:
-    """Until so many more have ended and the last gear has been looked at in mesh."""
+    """Until this many more have ended and the last gear has been looked at in mesh."""
     ended = len(loop.outcomes) + shifts
     assert loop.until(lambda: len(loop.outcomes) >= ended, LIMIT_US)
     loop.run(loop.time.now_us + 300_000)
@@ -88,8 +88,8 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
 @pytest.mark.long
 def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
     """After the restart the teeth are found, but seven phases of each gear are possible, and it
-    does not pretend to know: the first shift is by luck. It tells the turns, and the second, into a
-    gear that was not in mesh since, is aimed."""
+    does not pretend to know: the first shift is by luck. It reports the turns, and the second, into
+    a gear that was not in mesh since, is aimed."""
     loop, _, learned = restarted(TIED)
     assert sum("teeth found again" in line for line in loop.events) == 2
     assert references(loop)[learned:] == [PhaseReference.UNKNOWN, PhaseReference.KNOWN]

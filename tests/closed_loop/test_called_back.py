@@ -1,4 +1,4 @@
-"""A sleeve that is called back before it has moved."""
+"""A sleeve that is recalled before it has moved."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ FAST = replace(PLAIN, window=replace(PLAIN.window, aim_slip_rad_s=24.0 * RPM))
 
 
 def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> tuple[ShiftRow, list[int]]:
-    """An aimed shift of a rigid gearbox whose firings are said, so many times, to meet a tooth once
-    their valve is on; and when it was said (us after the firing)."""
+    """An aimed shift of a rigid gearbox whose firings are said, this many times, to meet a tooth
+    once their valve is on; and when it was said (us after the firing)."""
     sheet = load_sheet("truck12")
     drawn = draw(SEED, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
     loop = ClosedLoop(sheet, FAST, Preset.TRUCK, drawn)
@@ -63,7 +63,7 @@ def test_a_sleeve_that_would_meet_a_tooth_goes_back_and_meets_the_next_gap(
     assert plain.duration_ms + 10.0 < row.duration_ms < plain.duration_ms + 400.0
 
 
-def test_a_sleeve_is_called_back_no_more_often_than_is_allowed(
+def test_a_sleeve_is_recalled_no_more_often_than_is_allowed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     row, said = aimed_shift(monkeypatch, 100)

@@ -212,7 +212,7 @@ def test_a_rig_that_restarts_is_found_again_without_its_references(
     """Another power-up, other angles, another clock: nothing learned before holds any more; a
     shift can be made again. The clock from zero is only 0.3 s behind the old one, and the edges go
     on nearly as before: the sensor's arrays, empty again, tell."""
-    for seed in range(1, 30):  # the flank of one first shift in four or so can be told
+    for seed in range(1, 30):  # the flank of one first shift in four or so can be determined
         loop = Loop([(300_000, 10), (2_600_000, 10)], seed=seed).run(1_500_000)
         if loop.status.reference_known:
             break

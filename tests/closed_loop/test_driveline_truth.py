@@ -54,16 +54,18 @@ class MadCore(ControllerCore):
             (driveline, "passes_clutch"),
             (driveline, "passes_engine"),
         ):
-            setattr(judge, name, self._look(judge, getattr(judge, name), guarded))
+            setattr(judge, name, self._measure(judge, getattr(judge, name), guarded))
 
-    def _look(self, judge: Any, passes: Callable[..., bool], guarded: bool) -> Callable[..., bool]:
-        def look(*frame: Any) -> bool:
+    def _measure(
+        self, judge: Any, passes: Callable[..., bool], guarded: bool
+    ) -> Callable[..., bool]:
+        def measurement(*frame: Any) -> bool:
             passed = passes(*frame)
             if self.mad_us is not None and not passed:
                 self.rows.add(judge.blocked_row)
             return passed or not guarded
 
-        return look
+        return measurement
 
     def _decide(self, requested: int | None, snapshot: StepSnapshot, events: list[str]) -> None:
         if self.mad_us is None:
@@ -83,7 +85,7 @@ class MadCore(ControllerCore):
 
 @dataclass
 class Deed:
-    """What a row forbids, from which gear, and how the rig tells that it was done."""
+    """What a row forbids, from which gear, and how the rig says that it was done."""
 
     name: str
     row: int

@@ -41,7 +41,7 @@ def limited(**limits: int) -> ControllerSettings:
 def test_a_sleeve_that_never_engages_is_fired_as_often_as_its_attempts_and_no_more(
     attempts: int,
 ) -> None:
-    """Counted at the valve's coil, and told in the outcome. All valves are off then."""
+    """Counted at the valve's coil, and reported in the outcome. All valves are off then."""
     loop = Loop(
         [(300_000, 12)],
         settings=limited(attempts=attempts),
@@ -68,12 +68,12 @@ def leads_us(loop: Loop) -> Iterator[int]:
     """How far ahead each activation of the sleeve into gear 10 was when the bus first had it."""
     core = loop.rig.core
     assert isinstance(core, RigCore)
-    start_us, told = core.truth.clock_start_us - loop.phases_us[1], set[int]()
+    start_us, reported = core.truth.clock_start_us - loop.phases_us[1], set[int]()
     for time_us, message in loop.messages:
         if type(message) is ValveCommand and message.main_second_action is ValveAction.ON_AT:
             at_us = message.main_second_time_us
-            if at_us not in told:
-                told.add(at_us)
+            if at_us not in reported:
+                reported.add(at_us)
                 yield (at_us - start_us - time_us + WRAP // 2) % WRAP - WRAP // 2
 
 

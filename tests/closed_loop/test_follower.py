@@ -1,5 +1,5 @@
-"""A follower beside the controller whose course it follows: with the same settings it estimates the
-same, and a controller that goes on with its estimates says these."""
+"""A follower beside the controller whose trajectory it follows: with the same settings it estimates
+the same, and a controller that goes on with its estimates says these."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Followed(Tapped):
         heard = sorted(self.waiting, key=lambda frame: frame.can_id)
         its = self.follower.step(heard, now_us, core.sequence, core.snapshot)
         self.waiting.clear()
-        self.knew.append((told(core.snapshot), told(its)))
+        self.knew.append((reported(core.snapshot), reported(its)))
         return step
 
 
-def told(known: StepSnapshot) -> tuple[Any, ...]:
+def reported(known: StepSnapshot) -> tuple[Any, ...]:
     """Everything in it that is estimated, by value."""
     state = known.layshaft.at(known.now_us)
     angles = None if state is None else (state.theta_rad, state.omega_rad_s)

@@ -24,12 +24,12 @@ def test_a_linear_driveline_is_found_to_swing_by_itself_and_by_no_noise() -> Non
     sheet = load_sheet("truck12")
     drawn = draw(SEED, sheet, Preset.TRUCK, upshifts(), 8, SWINGS, Profile.CLEAN)
     loop = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK, drawn)
-    told = [loop.shift() for _ in drawn.plan]
+    reported = [loop.shift() for _ in drawn.plan]
     observer: Observer = loop._controller.observer
     swing = observer.swings().low
     assert swing is not None
     assert max(swing.noise_rad2_s3) < 0.05
-    last = told[-1]
+    last = reported[-1]
     assert last is not None
     assert last.predicted_phase_sd_deg is not None
     assert last.predicted_phase_sd_deg < 0.6

@@ -57,9 +57,9 @@ class MadCore(ControllerCore):
         self.truth: Any = None
         self._passes = self._guard.passes
         self._is_guarded = guarded
-        self._guard.passes = self._look  # type: ignore[method-assign]
+        self._guard.passes = self._measurement  # type: ignore[method-assign]
 
-    def _look(self, payload: bytes, seen: Any) -> bool:
+    def _measure(self, payload: bytes, seen: Any) -> bool:
         passes = self._passes(payload, seen)
         if self.is_mad and self._guard.blocked_row is not None:
             self.rows.append(self._guard.blocked_row)
@@ -79,7 +79,7 @@ class MadCore(ControllerCore):
 
 @dataclass
 class Deed:
-    """What is commanded against a row, from when on, and how the rig tells that it was done."""
+    """What is commanded against a row, from when on, and how the rig says that it was done."""
 
     row: int
     valves: tuple[ValveName, ...]

@@ -25,14 +25,14 @@ brake's torque 5 to 20 Nm."""
 
 def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
     """Of 18 figures nearly all lie in their 95 % intervals, all lie near them, and what was kept
-    out of the fit is foretold better than by the data sheet."""
+    out of the fit is predicted better than by the data sheet."""
     box = IdentifyRun(load_sheet("truck12"), 1, 8, Profile.TYPICAL).run()
-    told = {one.name: one for one in box.told if one.value is not None}
-    assert {one.name for one in box.told if one.value is None} <= MAY_STAY_OPEN
-    assert told.keys() - MAY_STAY_OPEN == MOST_HALF.keys()
+    reported = {one.name: one for one in box.reported if one.value is not None}
+    assert {one.name for one in box.reported if one.value is None} <= MAY_STAY_OPEN
+    assert reported.keys() - MAY_STAY_OPEN == MOST_HALF.keys()
     off = {}
     for name, most in MOST_HALF.items():
-        one = told[name]
+        one = reported[name]
         half = 0.5 * (one.high - one.low)
         assert 0.0 < half < most, name
         off[name] = abs(one.truth - 0.5 * (one.high + one.low)) / half

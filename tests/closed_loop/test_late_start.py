@@ -15,20 +15,20 @@ LOST_US = 500_000
 """As if the clock had just been looked at then: a second later it would be again."""
 
 
-def shifted(looks_anew: bool) -> Loop:
+def shifted(measurements_anew: bool) -> Loop:
     """A shift whose controller looks at the clock when the tick comes, and not before."""
     loop = Loop(requests=[(REQUEST_US, 10)], phases_us=(0, 3_000, 5_000))
     core = loop.core
     core._probe.is_armed, core._probe._probed_us = False, LOST_US
-    if not looks_anew:
+    if not measurements_anew:
         core._probe.plan = lambda now_us, switch_us: None  # type: ignore[method-assign]
     assert loop.until(lambda: bool(loop.outcomes), 4_000_000)
     return loop
 
 
-@pytest.mark.parametrize("looks_anew", [True, False])
-def test_after_one_refusal_the_shift_goes_on(looks_anew: bool) -> None:
-    loop = shifted(looks_anew)
+@pytest.mark.parametrize("measurements_anew", [True, False])
+def test_after_one_refusal_the_shift_goes_on(measurements_anew: bool) -> None:
+    loop = shifted(measurements_anew)
     (outcome,) = loop.outcomes
     assert outcome.result is ShiftResult.ENGAGED
     assert loop.last(ValveStatus).refused_count == 1

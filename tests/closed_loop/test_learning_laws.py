@@ -21,7 +21,7 @@ from meshpoint.testbench.results.rows import RowCollector
 SHEET = load_sheet("truck12")
 SHIFTS, LIMIT_US = 8, 60_000_000
 SURE = 3.5
-"""Nothing is further off than so many of the deviations that are stated with it."""
+"""Nothing is further off than this many of the deviations that are stated with it."""
 
 
 def a_loop(**other: Any) -> Loop:
@@ -104,9 +104,9 @@ def test_restored_from_its_file_a_controller_sends_what_it_sends_with_what_was_l
         for each in (learned, read, None)
     )
     heard = [line for line in transcript_of("typical_1") if line[0] in "<@"]
-    told = Transcript(given)
+    reported = Transcript(given)
     for line in heard:
         sign, text = line.split(" ")
-        told.receive(frame_of(text)) if sign == "<" else told.step(int(text))
-    assert first_difference(again, told.lines) is None
-    assert first_difference(without, told.lines) is not None
+        reported.receive(frame_of(text)) if sign == "<" else reported.step(int(text))
+    assert first_difference(again, reported.lines) is None
+    assert first_difference(without, reported.lines) is not None

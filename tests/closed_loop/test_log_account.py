@@ -91,7 +91,7 @@ def test_flipped_bits_foreign_traffic_and_another_dbc_are_told_apart(replayed: A
     assert account["frames"] == account["good"] + 1 + 6 + 1
 
 
-def test_a_restarted_sensor_side_a_gap_and_a_clock_set_back_are_told(replayed: Any) -> None:
+def test_a_restarted_sensor_side_a_gap_and_a_clock_set_back_are_reported(replayed: Any) -> None:
     def change(frames: Frames) -> Frames:
         half = len(frames) // 2
         later = [(t + 30.0, f) for t, f in frames[half:]]

@@ -1,5 +1,5 @@
 """A line that is gone from a log shows, also of messages that have no counter: the controller has
-told what it consumed."""
+reported what it consumed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def account_without(loop: Loop, message: str, number: int) -> Account:
 
 
 @pytest.mark.parametrize(("message", "number"), [("EEC1", 5), ("EEC1", -20), ("TC1", 0)])
-def test_a_frame_without_a_counter_that_is_lost_is_told(
+def test_a_frame_without_a_counter_that_is_lost_is_reported(
     one_shift: Loop, message: str, number: int
 ) -> None:
     account = account_without(one_shift, message, number)
@@ -50,7 +50,7 @@ def test_a_whole_log_lacks_nothing_and_a_log_of_sensors_is_not_judged(one_shift:
         assert account.to_json()["steps_of_changed_frames"] == 0
 
 
-def test_a_request_with_another_gear_than_was_consumed_is_told(one_shift: Loop) -> None:
+def test_a_request_with_another_gear_than_was_consumed_is_reported(one_shift: Loop) -> None:
     tc1, account = CODECS["TC1"].spec.can_id, Account()
     for time_us, frame in one_shift.frames:
         data = frame.data if frame.can_id != tc1 else frame.data[:-1] + b"\x00"
@@ -70,8 +70,8 @@ def test_the_gap_rate_and_identify_tell_it(
         for i, (time_us, frame) in enumerate(one_shift.frames):
             if i != first:
                 log.write(time_us * 1e-6, frame)
-    values = tmp_path / "told.json"
+    values = tmp_path / "reported.json"
     main([*command.split(), str(path), "--json", str(values)])
-    told: dict[str, Any] = json.loads(values.read_text())
-    assert told["account"]["consumed_but_missing"] == 1
+    reported: dict[str, Any] = json.loads(values.read_text())
+    assert reported["account"]["consumed_but_missing"] == 1
     assert "1 frames lost that the controller has consumed" in capsys.readouterr().out

@@ -103,12 +103,12 @@ def test_one_bit_of_one_edge_is_a_difference_and_the_frame_is_named() -> None:
     assert "> " in found
 
 
-def test_a_difference_is_told_with_whose_frames_part_first() -> None:
+def test_a_difference_is_reported_with_whose_frames_part_first() -> None:
     then = Run(["a", "b", "c"], ["a", "b", "c"])
-    for now, told in (
+    for now, reported in (
         (Run(["a", "x", "y"], ["a", "b", "y"]), "controller differ from 0.1 s"),
         (Run(["a", "b", "y"], ["a", "x", "y"]), "others differ from 0.1 s"),
         (Run(["a", "x", "y"], ["a", "x", "y"]), "controller and others differ from 0.1 s"),
         (Run(["a", "b"], ["a", "b"]), "controller and others differ from 0.2 s"),
     ):
-        assert told in where_they_part(now, then)
+        assert reported in where_they_part(now, then)

@@ -36,7 +36,7 @@ class HeldUp:
         self._loop = loop
         self._receiver, self._transmitter = Receiver(*Node), Transmitter(Node.TRANSMISSION_CONTROL)
         self.fired: list[int] = []
-        """Activation times of sleeves in the controller's commands, each told once."""
+        """Activation times of sleeves in the controller's commands, each reported once."""
 
     def __call__(self, frame: Frame) -> list[Frame]:
         message = self._receiver.receive(frame).message

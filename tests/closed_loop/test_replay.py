@@ -149,7 +149,7 @@ def test_a_log_with_a_frame_missing_is_never_called_identical(
 
 def test_equal_requests_that_a_slow_node_takes_one_by_one_are_all_found(tmp_path: Path) -> None:
     """Asked three times before its first step, it takes one request a step: which of the three the
-    first was cannot be told, and must not matter."""
+    first was cannot be determined, and must not matter."""
     held: list[Frame] = []
 
     def one_each_tick(frame: Frame) -> list[Frame]:
@@ -169,7 +169,7 @@ def test_equal_requests_that_a_slow_node_takes_one_by_one_are_all_found(tmp_path
 
 @pytest.mark.long
 def test_another_strategy_acts_on_the_same_frames(six_shifts: Loop, tmp_path: Path) -> None:
-    """Up to the first aimed shift both do the same; from there on the other one is told."""
+    """Up to the first aimed shift both do the same; from there on the other one is reported."""
     six_shifts.header.save(tmp_path)
 
     def change(header: RunHeader) -> RunHeader:

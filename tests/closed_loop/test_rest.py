@@ -52,11 +52,11 @@ def test_every_shift_but_the_first_begins_with_what_was_seen_of_the_loaded_drive
     """The truck has been in its gear for so long that the controller has followed what its shafts
     carry. In the first shift it may not know of their backlash yet; a tooth that is thrown out of
     its gear begins another window in neutral, in which nothing is known from before."""
-    told, count = LoadedDriveline.behind, 0
+    reported, count = LoadedDriveline.behind, 0
 
     def behind(driveline: LoadedDriveline, time_us: float) -> object:
         nonlocal count
-        found = told(driveline, time_us)
+        found = reported(driveline, time_us)
         count += found is not None
         return found
 

@@ -35,7 +35,7 @@ def sensors_of(loop: Loop) -> list[tuple[int, Frame]]:
 
 
 def end_of(loop: Loop, shifts: int) -> int:
-    """A while after so many shifts have ended, us."""
+    """A while after this many shifts have ended, us."""
     ended = [t for t, message in loop.messages if isinstance(message, ShiftOutcome)]
     return ended[shifts - 1] + 300_000
 
@@ -203,8 +203,8 @@ def test_a_map_without_a_dbc_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
 def test_a_log_of_many_days_whose_clock_is_set_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An hour back at the end of summer time, and three days without a frame: both are told, and no
-    step is made for each 10 ms of them."""
+    """An hour back at the end of summer time, and three days without a frame: both are reported,
+    and no step is made for each 10 ms of them."""
     frames = [(t + 1e6, f) for t, f in speeds_of_two_gears()]
     later = [(t + 3 * 86_400.0 - 3_600.0, f) for t, f in frames]
     again = [(t - 3_600.0, f) for t, f in frames[:100]]
@@ -245,7 +245,7 @@ def test_speeds_that_are_not_available_are_none() -> None:
     )
 
 
-def test_ctrl_c_leaves_what_was_told_up_to_there_and_says_so(
+def test_ctrl_c_leaves_what_was_reported_up_to_there_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """SIGINT in the middle of a log without our controller: exit code 130, not the whole log."""
@@ -281,6 +281,6 @@ def test_the_page_draws_speeds_and_gears_and_tells_no_contact_as_ours(
     gears = {value for value in traces["gear by sleeves"]["y"] if value is not None}
     assert gears == {8, 10, 12}
     assert set(found["gears_by_sleeves_s"]) == {"8", "10", "12"}
-    assert text.count("not told: the gearbox of this log answered to another controller") == 6
+    assert text.count("not reported: the gearbox of this log answered to another controller") == 6
     assert 'class="gap"' not in text
     assert 'class="tooth"' not in text

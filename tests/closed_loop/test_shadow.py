@@ -1,4 +1,4 @@
-"""A controller that only looks on, and what a log says of two controllers."""
+"""A controller that only watches, and what a log says of two controllers."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def test_a_shadow_sends_nothing_and_tells_both_controllers_shifts(production: Lo
     last = core.shutdown(production.frames[-1][0])
     assert sent + last.frames == []
     lines += last.events
-    told = [line for line in lines if line.startswith("shadow 8 -> 10: fired after")]
-    assert told, "its decisions"
+    reported = [line for line in lines if line.startswith("shadow 8 -> 10: fired after")]
+    assert reported, "its decisions"
     assert any(line.startswith("production 8 -> 10: first contact") for line in lines)
     assert "sent nothing" in lines[-1]
     assert len([s for s in core.shifts if (s.from_gear, s.to_gear) != (12, 8)]) == SHIFTS
@@ -164,7 +164,7 @@ def test_a_report_says_what_another_strategy_would_have_met(log: Path, capsys) -
     assert found["decided"] + sum(found["not_decidable"].values()) == SHIFTS
 
 
-def test_of_a_controller_that_is_not_ours_only_its_own_contacts_are_told(
+def test_of_a_controller_that_is_not_ours_only_its_own_contacts_are_reported(
     production: Loop, tmp_path: Path, capsys
 ) -> None:
     path = tmp_path / "foreign.log"
@@ -180,7 +180,7 @@ def test_of_a_controller_that_is_not_ours_only_its_own_contacts_are_told(
     assert "no run of our controller" in found["sentence"]
 
 
-def test_reasons_that_differ_in_a_number_alone_are_told_as_one() -> None:
+def test_reasons_that_differ_in_a_number_alone_are_reported_as_one() -> None:
     half = "the landing would be known to within {} deg only, of a pitch of 7.50 deg"
     answer = Answer(9, 2, decided=1, expected=0.5, other="x")
     answer.why_not.update([half.format(4.1), half.format(1.9), half.format(12.0), "no reference"])

@@ -159,13 +159,13 @@ def test_the_sleeve_is_fired_once_and_the_brake_is_off_by_then(one_shift: Loop) 
 def test_engagements_are_blind_until_the_phase_is_learned_and_aim_from_then_on(
     six_shifts: Loop,
 ) -> None:
-    """A gear is blind until it has met a flank that can be told, and aimed at ever after."""
+    """A gear is blind until it has met a flank that can be determined, and aimed at ever after."""
     outcomes = six_shifts.outcomes
     assert [(o.from_gear, o.to_gear) for o in outcomes] == [(8, 10), (10, 12)] * 3
     assert {outcome.result for outcome in outcomes} == {ShiftResult.ENGAGED}
     for gear in (10, 12):
-        told = [outcome for outcome in outcomes if outcome.to_gear == gear]
-        known = [outcome.reference is PhaseReference.KNOWN for outcome in told]
+        reported = [outcome for outcome in outcomes if outcome.to_gear == gear]
+        known = [outcome.reference is PhaseReference.KNOWN for outcome in reported]
         assert known == sorted(known)
         assert not known[0]
         assert known[-1]
@@ -191,7 +191,7 @@ def test_aimed_shifts_meet_the_gap(six_shifts: Loop) -> None:
 
 def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
     """In mesh both stand still, on whichever flank it is: 0.05 degrees, a fifteenth of half a
-    gap. So the flank was told right and the mean took out what the edges quantise. One look in
+    gap. So the flank was reported right and the mean took out what the edges quantise. One look in
     twenty may fall into the moment in which the gear is being taken out."""
     truth: ReferencePhase | None = None
     status: ControllerStatus | None = None
@@ -213,16 +213,16 @@ def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
         assert sorted(errors)[19 * len(errors) // 20] < 0.05
 
 
-def test_the_phase_told_at_contact_is_the_true_one(six_shifts: Loop) -> None:
+def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm: within a tenth of half
-    a gap. Contact is up to a tick after the newest edges, by which the bus is told less."""
+    a gap. Contact is up to a tick after the newest edges, by which the bus is reported less."""
     contacts = engagements(six_shifts, EngagementEvent.GAP_CONTACT)
-    told = [each for each in six_shifts.of(ControllerEstimates) if each.phase_known]
+    reported = [each for each in six_shifts.of(ControllerEstimates) if each.phase_known]
     tenth_rad = 0.05 * SHEET.dog.backlash_rad
     for outcome in aimed(six_shifts):
         contact_us = outcome.measured_contact_time_us
         near = min(contacts, key=lambda c: abs(c.event_time_us - contact_us))
-        sd_rad = min(told, key=lambda e: abs(e.estimate_time_us - contact_us)).phase_sd_rad
+        sd_rad = min(reported, key=lambda e: abs(e.estimate_time_us - contact_us)).phase_sd_rad
         assert 3.0 * sd_rad < tenth_rad
         assert abs(outcome.estimated_phase_rad - near.phase_rad) < tenth_rad
 
@@ -266,7 +266,7 @@ def test_immediate_valves_switch_at_the_planned_moment_within_a_millisecond(
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
-    """A run is a function of its setup, whoever looks on; another seed gives another run."""
+    """A run is a function of its setup, whoever watches; another seed gives another run."""
     runs: list[list[tuple[int, Frame]]] = []
     for seed in (1, 1, 2):
         frames: list[tuple[int, Frame]] = []
@@ -302,8 +302,8 @@ def test_the_run_hash_on_the_bus_is_that_of_the_header() -> None:
     setup = Setup(SHEET, settings, shifts=0)
     assert setup.header == new_header(product_version(), SHEET, settings)
     loop = Loop(settings=settings).run(40_000)
-    told = loop.status.run_hash_high << 32 | loop.status.run_hash_low
-    assert told == loop.header.run_hash
+    reported = loop.status.run_hash_high << 32 | loop.status.run_hash_low
+    assert reported == loop.header.run_hash
 
 
 def test_shutdown_switches_everything_off(one_shift: Loop) -> None:

@@ -50,10 +50,10 @@ def shift(swing_ramp_ms: int, slope_percent: float) -> Shift:
     before_nm = math.copysign(beyond_rad * twisting.stiff_nm_rad, twist_rad)
     out = lambda: any(m.event is EngagementEvent.RELEASED for m in loop.of(ReferenceEngagement))  # noqa: E731
     assert loop.until(out, 5_000_000)
-    looks: list[tuple[float, float]] = []
+    measurements: list[tuple[float, float]] = []
     end_us = loop.time.now_us + 100_000
-    loop.until(lambda: looks.append((plant.time_us, plant.main_rad_s)) or False, end_us)  # type: ignore[func-returns-value]
-    at_us, speed = np.array(looks).T
+    loop.until(lambda: measurements.append((plant.time_us, plant.main_rad_s)) or False, end_us)  # type: ignore[func-returns-value]
+    at_us, speed = np.array(measurements).T
     trend = np.polyval(np.polyfit(at_us - at_us[0], speed, 1), at_us - at_us[0])
     return Shift(loop, before_nm, float(np.ptp(speed - trend)) / RPM)
 

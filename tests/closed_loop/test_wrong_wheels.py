@@ -58,7 +58,7 @@ def contact_slips_rad_s(loop: Loop) -> list[float]:
     return [each.slip_rad_s for each in loop.of(ReferenceEngagement) if each.event in meets]
 
 
-def told(loop: Loop) -> list[str]:
+def reported(loop: Loop) -> list[str]:
     """The log's lines about speed wheels."""
     return [line.split(": ", 1)[1] for line in loop.events if "speed wheel" in line]
 
@@ -85,7 +85,7 @@ def test_in_gear_the_wheel_is_named_and_no_shift_begins(
     (outcome,) = loop.outcomes
     assert (outcome.result, outcome.fault) == (ShiftResult.REFUSED, CODES[wheel])
     # As the sensors start, two may be in doubt until a third has been heard for long enough.
-    assert told(loop)[-1] == f"speed wheel reads wrong: {WHEELS[wheel]}"
+    assert reported(loop)[-1] == f"speed wheel reads wrong: {WHEELS[wheel]}"
     assert loop.status.active_fault is CODES[wheel]
     assert ControllerState.CLUTCH_OPENING not in loop.states
 
@@ -107,7 +107,7 @@ def test_in_mid_shift_nothing_meets_beyond_the_slip_window(
     assert all(
         guard.slip_low_rad_s <= slip <= guard.slip_high_rad_s for slip in contact_slips_rad_s(loop)
     )
-    assert WHEELS[wheel] in told(loop)[0]
+    assert WHEELS[wheel] in reported(loop)[0]
     (outcome,) = loop.outcomes
     assert outcome.fault in (CODES[wheel], FaultCode.WHEELS_DISAGREE)
     assert loop.violations == 0
@@ -121,7 +121,7 @@ def test_a_wheel_that_reads_right_again_is_believed_and_the_shift_is_made(wheel:
     assert loop.until(lambda: bool(loop.outcomes), LATE_US + PATIENCE_US)
     (outcome,) = loop.outcomes
     assert (outcome.result, outcome.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
-    assert told(loop)[-1] == "speed wheels agree again"
+    assert reported(loop)[-1] == "speed wheels agree again"
 
 
 @pytest.mark.parametrize("wheel", [1, 2])
@@ -135,7 +135,7 @@ def test_from_neutral_a_wheel_that_was_always_wrong_leads_to_no_contact(wheel: i
     refusal = "request for gear 10 refused: wheels_disagree before it began"
     assert loop.until(lambda: refusal in loop.events[-1], PATIENCE_US)
     assert contact_slips_rad_s(loop) == before
-    assert WHEELS[wheel] in told(loop)[-1]
+    assert WHEELS[wheel] in reported(loop)[-1]
 
 
 @pytest.mark.parametrize(
@@ -155,4 +155,4 @@ def test_wheels_that_read_right_are_not_in_doubt(profile: Profile, from_: int, t
     )  # fmt: skip
     loop.run(LATE_US)
     assert loop.outcomes[0].result is ShiftResult.ENGAGED
-    assert told(loop) == []
+    assert reported(loop) == []

@@ -1,4 +1,5 @@
-"""People are told things in one way, by which nothing that others wrote steers their terminal."""
+"""People are reported things in one way, by which nothing that others wrote steers their
+terminal."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class Bench:
         return wheels.layshaft.teeth, wheels.main.teeth
 
     def count_from(self, layshaft: int, main: int, turns: int = 0) -> None:
-        """Present tooth 0 is so many teeth and turns further on."""
+        """Present tooth 0 is this many teeth and turns further on."""
         sizes = self._sizes
         self.box.layshaft_rad += layshaft * TURN / sizes[0] + turns * TURN
         self.box.main_rad += main * TURN / sizes[1]
@@ -103,7 +103,7 @@ class Bench:
         self.count_from(layshaft or 0, main or 0, turns)
 
     def sensor_says(self, before: int, behind: int) -> None:
-        """It has counted what the layshaft was renumbered by, give or take so many teeth."""
+        """It has counted what the layshaft was renumbered by, give or take this many teeth."""
         least, most = self.counted - before, self.counted + behind
         old = self.renumbered
         self.renumbered = Renumbered(old.least + least, old.most + most, old.uncounted)
@@ -120,7 +120,7 @@ class Bench:
                 found = [j for j in range(size) if (turned(memory.error_rad, j) == present).all()]
                 teeth.found, teeth.memory = Found(found[0], 99.0), None
             teeth.error_rad, teeth.learned = present, True
-        self.recovery.look(self.events, self.renumbered)
+        self.recovery.measure(self.events, self.renumbered)
 
     def learn(self, gear: MainGear, error_rad: float = 0.0, sd_rad: float = 0.0) -> None:
         self.references.adopt(gear, self.box.offset(gear) + error_rad, ReferenceSource.MEASURED)

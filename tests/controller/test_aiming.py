@@ -35,8 +35,8 @@ REFERENCE_SD = math.radians(0.1)
 
 def cost_of(predictor: GearPredictor, contact_us: float, variance: float) -> float:
     """The price of a contact in seconds, as docs/strategy.md has it."""
-    course = predictor.trajectory(contact_us, 1.0, 1)
-    phase, slip = float(course.phase_rad[0]), float(course.slip_rad_s[0])
+    trajectory = predictor.trajectory(contact_us, 1.0, 1)
+    phase, slip = float(trajectory.phase_rad[0]), float(trajectory.slip_rad_s[0])
     moved = slip * SHEET.dog.most_overlap_m / SHEET.sleeve.contact_speed_m_s
     centre = SETTINGS.aim.target_rad(SHEET.dog.backlash_rad) - moved / 2.0
     off = math.remainder(phase - centre, PITCH)

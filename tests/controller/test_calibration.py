@@ -227,7 +227,7 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
     line = writer(example())
     assert line is not None
     assert "box.toml: cannot be written" in line
-    assert writer(example()) is None, "told once"
+    assert writer(example()) is None, "reported once"
     assert path.read_text(encoding="utf-8") == TEXT
 
 

@@ -1,4 +1,4 @@
-"""What a cloud of drivelines is spread by when it is drawn anew: each time by numbers that no
+"""What a cloud of particles is spread by when it is resampled: each time by numbers that no
 driveline at that place was spread by before, or the same ones would be pushed the same way again
 and again."""
 
@@ -19,16 +19,16 @@ LEAST_DRAWS = 4
 
 @pytest.fixture(scope="module")
 def draws() -> list[Vector]:
-    """The numbers of each time that a cloud was drawn anew, by the edges of one driveline."""
+    """The numbers of each time that a cloud was resampled, by the edges of one driveline."""
     spread_by: list[Vector] = []
-    drawn_anew = lash_cloud.drawn_anew
+    resampled = lash_cloud.resampled
 
     def noted(x: Vector, weights: Vector, numbers: Vector) -> Vector:
         spread_by.append(numbers.copy())
-        return drawn_anew(x, weights, numbers)
+        return resampled(x, weights, numbers)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lash_cloud, "drawn_anew", noted)
+        patch.setattr(lash_cloud, "resampled", noted)
         lash = a_lash()
         cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
         cloud.take(Truth(lash, 3, TOOTH_RAD).edges, TOOTH_RAD)

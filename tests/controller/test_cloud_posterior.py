@@ -1,7 +1,7 @@
-"""What one look tells a cloud of drivelines, against the textbook: each driveline is a Kalman
-filter of angle and speed, and weighs as likely as the look was by it (Rao-Blackwellised particle
-filter; Doucet, de Freitas, Murphy and Russell 2000). Moments by scipy and numpy alone; how a
-driveline moves is held against scipy in test_lash.py."""
+"""What one measurement reports a cloud of particles, against the textbook: each driveline is a
+Kalman filter of angle and speed, and weighs as likely as the look was by it (Rao-Blackwellised
+particle filter; Doucet, de Freitas, Murphy and Russell 2000). Moments by scipy and numpy alone; how
+a driveline moves is held against scipy in test_lash.py."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FIRST_SDS = (0.05, 2.0, 0.5)
 """Of angle (rad), speed (rad/s) and drag (rad/s2) in each driveline when a gear comes out."""
 DRAG_CHANGE_RAD2_S5 = 4.0
 EDGES_US = 200.0
-"""Edges of a look, from one to the next: within 4 ms they are taken together."""
+"""Edges of a measurement, from one to the next: within 4 ms they are taken together."""
 
 
 def spread(seconds: float, lash: Lash) -> Vector:
@@ -49,8 +49,8 @@ def test_one_look_corrects_and_weighs_each_driveline_as_the_textbook_has_it(
 
     p = spread(seconds, lash)
     speed = float(x[SPEED, 0])
-    told = (TOOTH_RAD**2 + (speed * EDGE_TIME_S) ** 2) / edges
-    sd = np.sqrt(p[0, 0] + told)
+    reported = (TOOTH_RAD**2 + (speed * EDGE_TIME_S) ** 2) / edges
+    sd = np.sqrt(p[0, 0] + reported)
     off = seen_rad - x[ANGLE]
     likely = norm.pdf(off, scale=sd)
     weights = likely / likely.sum()
@@ -62,5 +62,5 @@ def test_one_look_corrects_and_weighs_each_driveline_as_the_textbook_has_it(
     ):  # fmt: skip
         corrected = x[row] + gain / sd**2 * off
         assert cloud.mean(row) == pytest.approx(weights @ corrected, abs=1e-5 * scale)
-    told_of_vehicle = np.cov(x[VEHICLE], aweights=weights, ddof=0)
-    assert cloud.vehicle.covariance[0, 0] >= told_of_vehicle * (1.0 - 1e-6)
+    reported_of_vehicle = np.cov(x[VEHICLE], aweights=weights, ddof=0)
+    assert cloud.vehicle.covariance[0, 0] >= reported_of_vehicle * (1.0 - 1e-6)

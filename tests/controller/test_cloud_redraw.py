@@ -1,4 +1,4 @@
-"""A cloud of drivelines drawn anew: as often as they weigh, spread without being widened, and what
+"""A cloud of particles resampled: as often as they weigh, spread without being widened, and what
 goes together stays together. Each against sums over the cloud before."""
 
 from __future__ import annotations
@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimation.cloud_redraw import drawn, drawn_anew
+from meshpoint.controller.estimation.cloud_resampling import drawn, resampled
 from meshpoint.controller.estimation.halton import normal
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -64,7 +64,7 @@ def test_mean_and_covariance_are_as_they_were(way: float) -> None:
     x = a_cloud(way)
     weights = np.exp(2.0 * (x[VEHICLE] - 60.0) / 0.3)
     weights /= weights.sum()
-    before, after = quantities(x), quantities(drawn_anew(x, weights, NUMBERS))
+    before, after = quantities(x), quantities(resampled(x, weights, NUMBERS))
     expected = covariance(before, weights)
     sds = np.sqrt(np.diag(expected))
     assert (after.mean(axis=1) - before @ weights) / sds == pytest.approx(0.0, abs=0.05)
@@ -77,7 +77,7 @@ def test_what_goes_together_stays_together_draw_after_draw() -> None:
     x = a_cloud(BETWEEN)
     chance = np.random.default_rng(2)
     for _ in range(10):
-        x = drawn_anew(x, EVEN, chance.normal(size=(9, COUNT)))
+        x = resampled(x, EVEN, chance.normal(size=(9, COUNT)))
     assert np.std(x[WHEELS] - x[VEHICLE]) == pytest.approx(0.02, rel=0.2)
     assert np.std(x[VEHICLE]) == pytest.approx(0.3, rel=0.2)
     assert np.corrcoef(np.log(x[HALF]), np.log(x[STIFF]))[0, 1] == pytest.approx(-1.0, abs=0.02)
@@ -88,7 +88,7 @@ def test_drivelines_in_one_contact_are_not_spread_by_how_far_others_lie(
     ways: tuple[float, float],
 ) -> None:
     """Two kinds at once, 0.04 rad apart or more and 0.001 wide each: both stay as narrow."""
-    x = drawn_anew(a_cloud(*ways), EVEN, NUMBERS)
+    x = resampled(a_cloud(*ways), EVEN, NUMBERS)
     for way in ways:
         near = x[WAY][np.abs(x[WAY] - way) < 0.015]
         assert near.size == COUNT / 2
@@ -98,7 +98,7 @@ def test_drivelines_in_one_contact_are_not_spread_by_how_far_others_lie(
 def test_copies_of_a_driveline_part_and_its_angle_speed_and_drag_stay() -> None:
     x, weights = a_cloud(BETWEEN), np.zeros(COUNT)
     weights[[5, 9]] = 0.7, 0.3
-    found = drawn_anew(x, weights, NUMBERS)
+    found = resampled(x, weights, NUMBERS)
     chosen = drawn(weights, COUNT)
     for row in (ANGLE, SPEED, DRAG):
         assert found[row].tolist() == x[row, chosen].tolist()
@@ -118,7 +118,7 @@ def test_one_driveline_with_all_the_weight_is_all_of_the_cloud(weight: float) ->
     """The last one is, too, where rounding has left it none."""
     x, weights = a_cloud(BETWEEN), np.zeros(COUNT)
     x[WAY, -1], weights[-1] = DRIVE, weight
-    found = drawn_anew(x, weights, NUMBERS)
+    found = resampled(x, weights, NUMBERS)
     assert found == pytest.approx(np.repeat(x[:, -1:], COUNT, axis=1))
 
 

@@ -1,4 +1,5 @@
-"""What is known of the clutch and the engine's torque ahead: course, kiss point, torque left."""
+"""What is known of the clutch and the engine's torque ahead: trajectory, kiss point, torque
+left."""
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ def close_with(kiss: KissPoint, touch: float, own_rad_s2: float, slope: float) -
     for k in range(2001):
         if k % 100 == 0:
             track.take(k * 100, position)
-            kiss.look(track, speed)
+            kiss.measure(track, speed)
         grip = slope * max(0.0, position - touch)
         speed += (own_rad_s2 - grip) * dt
         position = min(1.0, position + dt / 0.2)
@@ -86,7 +87,7 @@ def test_an_engine_that_says_nothing_teaches_nothing() -> None:
     kiss, track = KissPoint(TRUCK12), ClutchTrack()
     for k in range(20):
         track.take(k * TICK_US, k / 20)
-        kiss.look(track, None)
+        kiss.measure(track, None)
     assert kiss.share == pytest.approx(0.35)
 
 
@@ -102,9 +103,9 @@ def touched(
         track.take(1_000_000 + k * TICK_US, first + 0.05 * k)
         since_s = max(0.0, k * 0.01 - 0.015)
         speed = 140.0 + 20.0 * k * 0.01 + rise_rad_s3 * since_s**2 / 2.0
-        kiss.look(track, None if k == unsaid else speed)
+        kiss.measure(track, None if k == unsaid else speed)
         for _ in range(again if k == 2 else 0):
-            kiss.look(track, speed + 50.0)
+            kiss.measure(track, speed + 50.0)
     return kiss
 
 

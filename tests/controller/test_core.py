@@ -51,11 +51,11 @@ def test_frames_of_a_step_are_counted_and_summed_in_order_of_identifier() -> Non
     own = Frame(0x18FF5F03, bytes(64))
     for frame in (Frame(FOREIGN_ID, b"\x01\x02", False), ours[0], own, *ours[1:]):
         core.receive(frame)
-    told: ControllerStatus = sent(core.step(T0), ControllerStatus)
+    reported: ControllerStatus = sent(core.step(T0), ControllerStatus)
     crc = 0
     for frame in sorted(ours, key=lambda each: each.can_id):
         crc = zlib.crc32(frame.can_id.to_bytes(4, "little") + frame.data, crc)
-    assert (told.consumed_count, told.consumed_crc) == (3, crc)
+    assert (reported.consumed_count, reported.consumed_crc) == (3, crc)
     again: ControllerStatus = sent(core.step(T0 + 10_000), ControllerStatus)
     assert (again.consumed_count, again.consumed_crc) == (0, 0)
     assert (again.previous_consumed_count, again.previous_consumed_crc) == (3, crc)
@@ -159,6 +159,6 @@ def test_other_settings_hold_from_the_next_step_on_and_change_the_run_s_hash() -
     core = a_core()
     before = core.header.run_hash
     core.change_settings(replace(ControllerSettings(), timing=Timing(tick_ms=20)))
-    told = sent(core.step(T0), ControllerStatus)
-    assert told.run_hash_high << 32 | told.run_hash_low == core.header.run_hash != before
+    reported = sent(core.step(T0), ControllerStatus)
+    assert reported.run_hash_high << 32 | reported.run_hash_low == core.header.run_hash != before
     assert core.next_step_us == T0 + 20_000

@@ -36,7 +36,7 @@ TUNING = CrossingFilterTuning()
 
 
 class Bench(NamedTuple):
-    """Runs whose starts are as scattered as the filter is told."""
+    """Runs whose starts are as scattered as the filter is reported."""
 
     world: World
     model: MotionModel
@@ -88,7 +88,7 @@ def error_over_claim(truth: np.ndarray, state: LayshaftState) -> tuple[np.ndarra
 
 
 def band(freedom: float, of: float) -> np.ndarray:
-    """Where a chi-square sum of so many degrees lies 95 times of 100, over `of`."""
+    """Where a chi-square sum of this many degrees lies 95 times of 100, over `of`."""
     return chi2.ppf([0.025, 0.975], freedom) / of
 
 

@@ -160,7 +160,7 @@ def edges_of(shaft: Shaft) -> Vector:
 def test_edges_pressures_and_switches_are_taken_in_order_of_time_as_kalman_has_it(
     shaft: Shaft,
 ) -> None:
-    """A pressure at an edge's time finds nothing to move. The misfit is twice the negative
+    """A pressure at an edge's time finds nothing to move. The deviance is twice the negative
     logarithm of the likelihood."""
     found, kalman, edges = shaft.filter(), Kalman(shaft), edges_of(shaft)
     pascal, braked = 2e4 + 3e3 * np.cos(PRESSURES_US), shaft is LAYSHAFT
@@ -181,7 +181,7 @@ def test_edges_pressures_and_switches_are_taken_in_order_of_time_as_kalman_has_i
             kalman.on = bool(value)
     assert_same(found, kalman)
     assert found.nis.tolist() == pytest.approx([kalman.squares, EDGES_US.size], rel=1e-6)
-    assert found.misfit(EDGES_US.size) == pytest.approx(kalman.squares + kalman.logs, rel=1e-6)
+    assert found.deviance(EDGES_US.size) == pytest.approx(kalman.squares + kalman.logs, rel=1e-6)
 
 
 @both_shafts
@@ -199,7 +199,7 @@ def test_an_edge_within_the_gate_is_taken_and_one_beyond_it_changes_nothing(
         kalman.edge(angle)
     assert_same(found, kalman)
     assert found.nis[1] == taken
-    assert math.isinf(found.misfit(1)) is not taken
+    assert math.isinf(found.deviance(1)) is not taken
 
 
 @both_shafts
@@ -235,7 +235,7 @@ def test_an_edge_that_comes_a_batch_late_ends_in_the_state_of_one_that_does_not(
 def test_noise_that_heeds_the_innovations_grows_with_them() -> None:
     """Edges off by four deviations each."""
     plain, heeding = MAIN.filter(), MAIN.filter()
-    heeding.heed(0.1)
+    heeding.noise_adaptation(0.1)
     edges = edges_of(MAIN) + np.array([[0.0], [0.012]]) * (-1.0) ** np.arange(EDGES_US.size)
     for each in (plain, heeding):
         each.take(edges, TOOTH_RAD, NO_PRESSURES, OFF, MAIN.model)
@@ -251,7 +251,7 @@ def test_a_window_s_equations_for_its_teeth_are_those_of_the_normal_law_of_its_e
     shaft: Shaft,
 ) -> None:
     """Normal matrix S' C^-1 S and right side -S' C^-1 y, S telling whose tooth's error is in which
-    edge; squares y' C^-1 y; and the logarithm of C's determinant. C tells how edges go together by
+    edge; squares y' C^-1 y; and the logarithm of C's determinant. C says how edges go together by
     what is not known of the shaft; nothing drives it, and no brake bends its motion."""
     model = FREE["layshaft" if shaft is LAYSHAFT else "main"]
     n, p0 = shaft.start.size, 1e-2 * shaft.spread()

@@ -1,5 +1,5 @@
 """The figures of a driveline in its backlash: the sheet's as felt at the main shaft, how looks and
-windows correct them, and the vehicle's course; each against the formula of the textbook."""
+windows correct them, and the vehicle's trajectory; each against the formula of the textbook."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from meshpoint.controller.estimation.lash_start import (
     EDGE_RAD,
     SWING_S,
     SWINGS_RAD,
-    vehicle_course,
+    vehicle_trajectory,
 )
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -75,10 +75,11 @@ def test_a_driveline_s_figures_are_the_sheet_s_as_felt_at_the_main_shaft() -> No
 
 
 def test_a_first_cloud_scatters_as_what_is_not_known_each_figure_by_itself() -> None:
-    """Logarithms of what has no sign; vehicle and hill by their covariance where one was told."""
+    """Logarithms of what has no sign; vehicle and hill by their covariance where one was
+    reported."""
     lash, root = a_lash(), np.array(((0.2, 0.0), (1.0, 3.0)))
     start = LashStart(0.0, 3.0, 61.0, 60.0, -2.0)
-    plain, told = lash.cloud(start), lash.cloud(start._replace(vehicle_root=root))
+    plain, reported = lash.cloud(start), lash.cloud(start._replace(vehicle_root=root))
     logs = [np.log(plain[row]) for row in (STIFF, LOSS, HALF)]
     tyre = math.log(AXLE.tyre_nm_rad / AXLE.wheels_kgm2)
     rows = [*logs, np.log(plain[TYRE_STIFF]), plain[VEHICLE], plain[HILL]]
@@ -88,7 +89,7 @@ def test_a_first_cloud_scatters_as_what_is_not_known_each_figure_by_itself() -> 
         assert row.mean() == pytest.approx(mean, abs=0.02 * sd)
         assert row.std() == pytest.approx(sd, rel=0.01)
     assert np.corrcoef(rows) == pytest.approx(np.eye(6), abs=0.03)
-    assert np.cov(told[VEHICLE], told[HILL]) == pytest.approx(root @ root.T, rel=0.03)
+    assert np.cov(reported[VEHICLE], reported[HILL]) == pytest.approx(root @ root.T, rel=0.03)
     assert (set(plain[ANGLE]), set(plain[SPEED])) == ({3.0}, {61.0})
 
 
@@ -122,10 +123,10 @@ def test_what_windows_tell_of_a_figure_is_learned_as_by_bayes_within_the_sheet(
     """Two normal laws' product; no surer than a window can be, within two deviations of the
     sheet's."""
     lash = a_lash()
-    told = {row: (lash.prior[2 * j], sd) for j, row in enumerate(FIGURES)}
+    reported = {row: (lash.prior[2 * j], sd) for j, row in enumerate(FIGURES)}
     middle, most = lash.prior[2 * k : 2 * k + 2]
-    told[FIGURES[k]] = (middle + by, sd)
-    lash.learn(told.__getitem__)
+    reported[FIGURES[k]] = (middle + by, sd)
+    lash.learn(reported.__getitem__)
     weights = most**-2, max(sd, SEEN_SDS[k]) ** -2
     mean = middle + by * weights[1] / sum(weights)
     assert lash.known[2 * k] == pytest.approx(
@@ -168,11 +169,13 @@ def conditioned(waits: Vector, angles: Vector) -> tuple[Vector, Vector]:
 
 
 @pytest.mark.parametrize("swing_rad", [0.0, 0.02])
-def test_the_vehicle_s_course_is_what_conditioning_on_the_angles_gives(swing_rad: float) -> None:
+def test_the_vehicle_s_trajectory_is_what_conditioning_on_the_angles_gives(
+    swing_rad: float,
+) -> None:
     waits = np.arange(-0.3, 0.0, 0.012)
     angles = 5.0 + 60.0 * waits - 3.0 * waits**2 + swing_rad * np.sin(40.0 * waits)
     angles += 1e-3 * np.random.default_rng(3).standard_normal(waits.size)
-    found, covariance = vehicle_course(waits, angles, VEHICLE_SDS)
+    found, covariance = vehicle_trajectory(waits, angles, VEHICLE_SDS)
     expected, spread = conditioned(waits, angles)
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-4)
     assert covariance == pytest.approx(spread, rel=1e-3, abs=1e-5)

@@ -27,7 +27,7 @@ class Kicked:
     place: int
     """Tooth at which it begins."""
 
-    def course(self) -> tuple[np.ndarray, np.ndarray]:
+    def trajectory(self) -> tuple[np.ndarray, np.ndarray]:
         """Times, and the angle in pitches."""
         pitch = 2.0 * math.pi / self.teeth
         begin_s = (2 * self.teeth + self.place + 0.3) * pitch / self.rad_s
@@ -43,7 +43,7 @@ class Kicked:
 
         polarities: "both", "rising", "falling", or "inverted": the gap is high, and a tooth begins
         with its falling edge."""
-        time_s, angle = self.course()
+        time_s, angle = self.trajectory()
         rng = np.random.default_rng(self.place)
         halves = []
         for share in (0.0, 0.5):

@@ -18,7 +18,7 @@ PITCH, BACKLASH = SHEET.dog.pitch_rad, SHEET.dog.backlash_rad
 SD = 0.1 * BACKLASH
 
 
-def looks(
+def measurements(
     rng: np.random.Generator,
     middle: float,
     count: int,
@@ -36,7 +36,7 @@ def looks(
 def posterior(raw: np.ndarray, sd: float = SD) -> GapPosterior:
     found = GapPosterior(PITCH, BACKLASH)
     for phase in raw:
-        found.look(float(phase), sd)
+        found.measure(float(phase), sd)
     return found
 
 
@@ -45,7 +45,7 @@ def test_a_tooth_thrown_from_flank_to_flank_tells_its_gap_as_well_as_is_said() -
     squares = []
     for _ in range(60):
         middle = rng.uniform(0.0, PITCH)
-        found = posterior(looks(rng, middle, 60, (-1.0, 1.0))).middle()
+        found = posterior(measurements(rng, middle, 60, (-1.0, 1.0))).middle()
         if found is None:
             continue
         off = wrap_to_pitch(found.raw_rad - middle, PITCH)
@@ -56,14 +56,14 @@ def test_a_tooth_thrown_from_flank_to_flank_tells_its_gap_as_well_as_is_said() -
 
 
 @pytest.mark.parametrize("flanks", [(1.0,), (-1.0,)])
-def test_looks_at_one_flank_alone_decide_nothing(flanks: tuple[float, ...]) -> None:
+def test_measurements_at_one_flank_alone_decide_nothing(flanks: tuple[float, ...]) -> None:
     rng = np.random.default_rng(5)
-    assert posterior(looks(rng, 0.3 * PITCH, 400, flanks)).middle() is None
+    assert posterior(measurements(rng, 0.3 * PITCH, 400, flanks)).middle() is None
 
 
 def test_a_gap_wider_than_the_sheets_is_none() -> None:
     rng = np.random.default_rng(6)
-    assert posterior(looks(rng, 0.3 * PITCH, 200, (-1.6, 1.6))).middle() is None
+    assert posterior(measurements(rng, 0.3 * PITCH, 200, (-1.6, 1.6))).middle() is None
 
 
 def test_a_reference_is_known_after_one_engagement_on_a_driveline_that_swings() -> None:
@@ -73,7 +73,7 @@ def test_a_reference_is_known_after_one_engagement_on_a_driveline_that_swings() 
     references, ratio = PhaseReferences(SHEET), SHEET.main_mesh(gear).ratio
     references.locked(gear, 0.5, straight=False)
     sd = 1.6 * SD
-    for raw in looks(rng, middle, 60, (-1.0, 1.0), sd):
+    for raw in measurements(rng, middle, 60, (-1.0, 1.0), sd):
         theta_main = 40.0 * rng.random()
         theta_layshaft = (raw + theta_main) / ratio
         references.see(gear, theta_layshaft, theta_main, sd)
@@ -94,8 +94,9 @@ MIDDLES = ROUND_PITCH / CELLS * np.arange(CELLS)
 
 def by_bayes(raw: np.ndarray, sd: float) -> tuple[float, float, float]:
     """Probability that the middle is within 0.3 backlashes of the likeliest, mean and deviation
-    there. Of a look's phase from the middle 3 of 5 are at a flank, 1 of 50 is astray anywhere, the
-    others are even over the gap, all blurred by its error; it tells a quarter of one alone."""
+    there. Of a measurement's phase from the middle 3 of 5 are at a flank, 1 of 50 is astray
+    anywhere, the others are even over the gap, all blurred by its error; it reports a quarter of
+    one alone."""
     half, logs = ROUND_BACKLASH / 2.0, np.zeros(CELLS)
     for phase in raw:
         off = wrapped(phase - MIDDLES)
@@ -118,21 +119,22 @@ def wrapped(phase: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("share", [0.1, 0.17, 0.28])
 @pytest.mark.parametrize("cell", [5, 100, 290])
-def test_the_middle_is_what_bayes_rule_makes_of_the_looks(cell: int, share: float) -> None:
-    """Look by look, at a flank, at the other and amid the gap, also at a pitch's end: told once 97
-    of 100 lie near the likeliest. Looks lie on the cells, so that none is moved to the next one."""
-    half, told = round(ROUND_BACKLASH / 2.0 / ROUND_PITCH * CELLS), []
+def test_the_middle_is_what_bayes_rule_makes_of_the_measurements(cell: int, share: float) -> None:
+    """Look by look, at a flank, at the other and amid the gap, also at a pitch's end: reported once
+    97 of 100 lie near the likeliest. Looks lie on the cells, so that none is moved to the next
+    one."""
+    half, reported = round(ROUND_BACKLASH / 2.0 / ROUND_PITCH * CELLS), []
     cells = cell + np.tile([-half, half, half, half // 3], 40)
     for count in (*range(1, 32), 160):
         raw, sd = MIDDLES[cells[:count] % CELLS], share * ROUND_BACKLASH
         certain, middle, spread = by_bayes(raw, sd)
         seen = GapPosterior(ROUND_PITCH, ROUND_BACKLASH)
         for phase in raw:
-            seen.look(float(phase), sd)
+            seen.measure(float(phase), sd)
         found = seen.middle()
         assert (found is not None) is (certain >= 0.97)
         if found is not None:
             assert wrapped(np.array(found.raw_rad - middle)) == pytest.approx(0.0, abs=1e-9)
             assert found.sd_rad == pytest.approx(spread, rel=1e-6)
-        told.append(found is not None)
-    assert not told[0] and told[-1]
+        reported.append(found is not None)
+    assert not reported[0] and reported[-1]

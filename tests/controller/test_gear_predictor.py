@@ -33,7 +33,7 @@ def predictor(braked: bool = False) -> GearPredictor:
                          DELAY_SD_S, DRIFT, SHARE)  # fmt: skip
 
 
-def course(time_us: float, release_us: float | None = None) -> tuple[float, float]:
+def trajectory(time_us: float, release_us: float | None = None) -> tuple[float, float]:
     """Phase and slip; the brake acts until a while after its release, if at all."""
     t, t_main = (time_us - LAYSHAFT.time_us) * 1e-6, (time_us - MAIN.time_us) * 1e-6
     braked_s = 0.0 if release_us is None else (release_us + OFF_DELAY_US - ON_US) * 1e-6
@@ -48,20 +48,20 @@ def course(time_us: float, release_us: float | None = None) -> tuple[float, floa
 
 @pytest.mark.parametrize("time_us", [3_000.0, 21_000.0, 81_000.0])
 def test_phase_and_slip_are_those_of_two_shafts_that_slow_down_steadily(time_us: float) -> None:
-    phase, slip = course(time_us)
+    phase, slip = trajectory(time_us)
     assert predictor().phase_and_slip(time_us) == pytest.approx((phase, slip), abs=1e-9)
     assert predictor().slip_rad_s(time_us) == pytest.approx(slip, abs=1e-9)
     found = predictor().trajectory(time_us, 4_000.0, 3)
-    expected = np.array([course(time_us + 4_000.0 * k) for k in range(3)]).T
+    expected = np.array([trajectory(time_us + 4_000.0 * k) for k in range(3)]).T
     assert np.array(found[2:]) == pytest.approx(expected, abs=1e-9)
 
 
-def test_each_release_has_its_course_from_its_own_time_on() -> None:
+def test_each_release_has_its_trajectory_from_its_own_time_on() -> None:
     releases_us, firsts_us = (9_000, 20_000, 30_000), (40e3, 40e3, 52e3)
     found = predictor(braked=True).trajectories(releases_us, firsts_us, 4_000.0, 2)
     for row, release_us, first_us in zip(found, releases_us, firsts_us, strict=True):
         for k in range(2):
-            phase, slip = course(first_us + 4_000.0 * k, release_us)
+            phase, slip = trajectory(first_us + 4_000.0 * k, release_us)
             assert row[0, k] == pytest.approx(phase, abs=1e-3)
             assert row[1, k] == pytest.approx(slip, abs=0.02)
 
@@ -70,14 +70,14 @@ def test_the_release_and_the_time_that_leave_a_slip_are_found() -> None:
     """A slip that cannot be left any more, or not yet, has the end of what is allowed."""
     braked, settle_us = predictor(braked=True), 50_000.0
     for release_us in (5_000, 13_000, 18_000):
-        left = course(release_us + settle_us, release_us)[1]
+        left = trajectory(release_us + settle_us, release_us)[1]
         found = braked.release_time_us(4_000, 20_000, left, settle_us)
         assert found == pytest.approx(release_us, abs=30)
     for release_us, end_us in ((3_000, 4_000), (21_000, 20_000)):
-        left = course(release_us + settle_us, release_us)[1]
+        left = trajectory(release_us + settle_us, release_us)[1]
         assert braked.release_time_us(4_000, 20_000, left, settle_us) == end_us
     for time_us, found_us in ((9_000, 9_000), (33_000, 33_000), (4_000, 5_000), (50_000, 40_000)):
-        found = predictor().slip_falls_to_us(course(time_us)[1], 5_000, 40_000)
+        found = predictor().slip_falls_to_us(trajectory(time_us)[1], 5_000, 40_000)
         assert found == pytest.approx(found_us, abs=10)
 
 
@@ -94,6 +94,6 @@ def test_what_is_not_known_of_both_shafts_grows_with_time(time_us: float) -> Non
         layshaft = (4e-3) ** 2 + 2.0 * t * cross + (0.25 * t) ** 2
         expected = SHARE**2 * (RATIO**2 * layshaft + main)
         assert made.estimate_variance(time_us) == pytest.approx(expected)
-        delay = course(time_us)[1] * DELAY_SD_S
+        delay = trajectory(time_us)[1] * DELAY_SD_S
         assert made.phase_sd_rad(time_us) == pytest.approx(math.hypot(math.sqrt(expected), delay))
         assert made.variances(time_us, 1_000.0, 3) == pytest.approx(np.full(3, expected))

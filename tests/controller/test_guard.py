@@ -124,7 +124,7 @@ def test_row_3_slip_at_contact_far_outside_the_window(own: ValveName) -> None:
 
 
 def test_row_3_is_judged_at_contact_not_now() -> None:
-    """The brake is still on and lets go before contact: 250 rpm now can be 20 by then, 700 not."""
+    """The brake is still on and releases before contact: 250 rpm now can be 20 by then, 700 not."""
     for slip_rpm, row in ((250.0, None), (700.0, 3)):
         guard, command = braking(NOW + 40_000)
         guard.passes(encoded(command), NEUTRAL._replace(speeds=speeds(slip_rpm=slip_rpm)))
@@ -272,7 +272,7 @@ def test_row_10_the_clutch_as_it_will_be_when_the_teeth_may_be_out(
 
 
 def test_row_10_a_pull_that_goes_on_while_the_clutch_stands_still() -> None:
-    """Passed on a clutch that opens; it stops half way, and the pull is taken back."""
+    """Passed on a clutch that opens; it stops half way, and the pull is withdrawn."""
     guard, on = ready(), payload(ValveName.MAIN_FIRST, at_us=NOW)
     opening = place(NEUTRAL, 0, 0.012)._replace(
         clutch_closed=0.53, clutch_per_s=-10.0, clutch_us=NOW

@@ -146,11 +146,13 @@ def test_row_14_torque_may_be_taken_away_and_nothing_else(sign: float) -> None:
     assert engine_row(pulls._replace(valid=False), torque(0.0)) == 14
 
 
-def turned(rad_s2: float, looks: int = 6, **changes: object) -> tuple[DrivelineGuard, GuardInputs]:
-    """A guard that has seen a pulling engine change its speed for so many steps, and the next
+def turned(
+    rad_s2: float, measurements: int = 6, **changes: object
+) -> tuple[DrivelineGuard, GuardInputs]:
+    """A guard that has seen a pulling engine change its speed for this many steps, and the next
     step's inputs."""
     guard, seen = DrivelineGuard(LIMITS), IN_GEAR._replace(clutch_closed=1.0)
-    for step in range(looks):
+    for step in range(measurements):
         seen = IN_GEAR._replace(
             now_us=NOW + step * LIMITS.tick_us,
             clutch_closed=1.0,
@@ -184,8 +186,9 @@ def test_row_14_beyond_none_only_what_turns_the_engine_along() -> None:
 
 
 def test_row_14_what_turns_the_engine_has_to_be_known() -> None:
-    """Too few looks, a pause between them, no speed, plates that are apart: nothing beyond none."""
-    guard, seen = turned(-40.0, looks=4)
+    """Too few measurements, a pause between them, no speed, plates that are apart: nothing beyond
+    none."""
+    guard, seen = turned(-40.0, measurements=4)
     assert not guard.passes_engine(torque(-0.05), seen)
     for changes in (
         {"now_us": NOW + 10 * LIMITS.tick_us},

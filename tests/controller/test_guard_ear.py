@@ -216,7 +216,7 @@ def test_sensors_have_started_anew_where_an_array_gets_emptier() -> None:
         found.append(ear.has_restarted)
     assert found == [False, False, False, False, True, False]
     ear.take([edges_frame(6, 2), edges_frame(7, 2)], 0)
-    assert ear.has_restarted  # once told in a step it stays told
+    assert ear.has_restarted  # once reported in a step it stays reported
     ear.take([], 0)
     assert not ear.has_restarted
 

@@ -1,4 +1,4 @@
-"""What row 14 makes of the engine's own course and torque, exactly at its limits: how fast the
+"""What row 14 makes of the engine's own trajectory and torque, exactly at its limits: how fast the
 engine is taken to change its speed, and what of its torque may still be asked for."""
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ PULLS = IN_GEAR._replace(clutch_closed=1.0)
 SHARE = LIMITS.engine_share_s2
 
 
-def turning(*looks: tuple[int, float], clutch_closed: float = 1.0) -> tuple[float, float]:
+def turning(*measurements: tuple[int, float], clutch_closed: float = 1.0) -> tuple[float, float]:
     """Of these times and speeds."""
     seen = PULLS._replace(clutch_closed=clutch_closed)
-    return _turning_share(DrivelineCase(seen, DrivelineState(engine=deque(looks)), LIMITS))
+    return _turning_share(DrivelineCase(seen, DrivelineState(engine=deque(measurements)), LIMITS))
 
 
 def even(rise_rad_s: float, span_us: int, count: int = 6) -> list[tuple[int, float]]:
-    """The first and the last of so many looks are this far apart; what lies between is wild."""
+    """The first and the last of this many measurements are this far apart; what lies between is
+    wild."""
     wild = [(NOW + 1 + k, 900.0 - 7.0 * k) for k in range(count - 2)]
     return [(NOW, 100.0), *wild, (NOW + span_us, 100.0 + rise_rad_s)]
 
@@ -52,9 +53,9 @@ def test_an_acceleration_within_its_own_doubt_turns_nothing(sign: float) -> None
 
 
 def test_plates_that_are_surely_apart_turn_nothing() -> None:
-    edge, looks = LIMITS.clutch_open_share, even(10.0, 50_000)
-    assert turning(*looks, clutch_closed=edge) == (0.0, 0.0)
-    assert turning(*looks, clutch_closed=edge + 1e-9) != (0.0, 0.0)
+    edge, measurements = LIMITS.clutch_open_share, even(10.0, 50_000)
+    assert turning(*measurements, clutch_closed=edge) == (0.0, 0.0)
+    assert turning(*measurements, clutch_closed=edge + 1e-9) != (0.0, 0.0)
 
 
 def looked(*steps: tuple[int, float | None]) -> list[tuple[int, float]]:
@@ -65,11 +66,13 @@ def looked(*steps: tuple[int, float | None]) -> list[tuple[int, float]]:
     return [(time_us - NOW, speed) for time_us, speed in guard._state.engine]
 
 
-def test_six_looks_are_kept_each_of_its_own_time() -> None:
-    course = [(TICK_US * k, 100.0 + k) for k in range(8)]
-    assert looked(*course) == course[2:]
-    assert looked(course[0]) == course[:1]
-    assert looked(*course[:3], (2 * TICK_US, 999.0)) == course[:3]  # the same step once more
+def test_six_measurements_are_kept_each_of_its_own_time() -> None:
+    trajectory = [(TICK_US * k, 100.0 + k) for k in range(8)]
+    assert looked(*trajectory) == trajectory[2:]
+    assert looked(trajectory[0]) == trajectory[:1]
+    assert (
+        looked(*trajectory[:3], (2 * TICK_US, 999.0)) == trajectory[:3]
+    )  # the same step once more
     assert looked((0, 1.0), (1, 2.0)) == [(0, 1.0), (1, 2.0)]
 
 
@@ -81,7 +84,7 @@ def test_after_a_pause_the_engine_is_looked_at_anew(pause_us: int, goes_on: bool
     assert found == ([(0, 1.0)] if goes_on else []) + [(pause_us, 2.0)]
 
 
-def test_without_a_speed_there_is_no_course() -> None:
+def test_without_a_speed_there_is_no_trajectory() -> None:
     assert looked((0, 1.0), (TICK_US, None)) == []
     assert looked((0, 1.0), (TICK_US, None), (2 * TICK_US, 3.0)) == [(2 * TICK_US, 3.0)]
 

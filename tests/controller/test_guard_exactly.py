@@ -178,7 +178,7 @@ def test_row_6_exactly_at_its_limits() -> None:
         (NOW - S, NOW, SOON + S // 4),  # off in 15 ms and 1/4 s; since the speed was measured
         (NOW - S, NOW - S // 4, SOON + S // 2),
         (NOW, NOW, SOON + 7 * S // 32),  # since the air can have come in
-        (NOW + S, NOW, 0),  # it can be taken back before
+        (NOW + S, NOW, 0),  # it can be withdrawn before
     ],
 )
 def test_row_6_the_lowest_speed(since_us: int, measured_us: int, acting_us: int) -> None:

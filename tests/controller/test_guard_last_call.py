@@ -1,4 +1,4 @@
-"""Row 3 at the last moment at which a fired sleeve can be taken back: what the shafts may do until
+"""Row 3 at the last moment at which a fired sleeve can be withdrawn: what the shafts may do until
 contact is bounded by what they have done within a period."""
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def test_what_is_taken_back_can_be_fired_anew() -> None:
 
 
 def remembered(*speeds_rpm: float, cycle_us: int = CYCLE_US) -> Swing | None:
-    """After so many speeds, one a cycle."""
+    """After this many speeds, one a cycle."""
     memory, swing = SwingMemory(), None
     for k, rpm in enumerate(speeds_rpm):
         swing = memory.take(ShaftSpeed(NOW + k * cycle_us, rpm * RPM))

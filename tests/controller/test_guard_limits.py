@@ -213,7 +213,7 @@ def test_the_clutch_is_foreseen_at_its_rate_but_not_far() -> None:
         (limits().clutch_open_share + 1e-9, 0.0, 0, False),
         (0.4, -5.0, 25_000, True),
         (0.4, -5.0, 15_000, False),  # not yet when it is driven
-        (0.25, 5.0, 0, False),  # closed again before it could be taken back, 15 ms from now
+        (0.25, 5.0, 0, False),  # closed again before it could be withdrawn, 15 ms from now
         (0.25, 3.0, 0, True),
         (0.25, 3.0, 20_000, False),
     ],

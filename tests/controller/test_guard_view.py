@@ -98,7 +98,7 @@ def test_a_clutch_that_was_not_heard_for_long_has_no_speed() -> None:
 
 def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
     """Of frames 5 ms late it does not become slower, and in a step without frames it goes on; what
-    the next one is less late, coming 3 ms earlier than the first, is told."""
+    the next one is less late, coming 3 ms earlier than the first, is reported."""
     guard_view, found = view(), []
     for step, late_us in enumerate((0, 5_000, None, -3_000, 0)):
         sent_us = 100_000 + CYCLE_US * step - (late_us or 0)
@@ -208,7 +208,7 @@ def agreeing(
     late: bool = False, slipped_us: int = 0, main_late_us: int = 0,
 ) -> int:  # fmt: skip
     """Layshaft and main shaft of one ratio turn, a tooth a cycle; over each tenth of a second the
-    main shaft is so many teeth behind, or over the second tenth alone; before that, while it
+    main shaft is this many teeth behind, or over the second tenth alone; before that, while it
     slipped, one more in each cycle. Its newest edge may be older than the layshaft's."""
     guard_view = view()
     guard_view._teeth = (teeth, teeth)

@@ -61,7 +61,7 @@ def edges(shaft: int, counter: int, stamp: int, omega_rad_s: float) -> Frame:
 def seen_after(
     for_ms: int, factors: Sequence[float], first_second: int = IN_SECOND, fault_bits: int = 0
 ) -> GuardInputs:
-    """What the guard sees after so long, with wheels that give so many times their edges."""
+    """What the guard sees after so long, with wheels that give this many times their edges."""
     view = GuardView(SHEET, LIMITS)
     for counter in range(for_ms // 10):
         stamp = 2_000_000 + CYCLE_US * counter

@@ -19,7 +19,7 @@ def test_numbers_of_both_kinds_are_of_the_normal_law(row: int) -> None:
 
 
 def test_scattered_numbers_go_with_no_others() -> None:
-    """Neither with a first cloud nor with those of another row or draw: of so many pairs, drawn
+    """Neither with a first cloud nor with those of another row or draw: of this many pairs, drawn
     ones would be 0.075 alike at most."""
     twice = scattered_twice(COUNT)
     draws = [twice[:, begin : begin + COUNT] for begin in range(0, COUNT, 311)]

@@ -1,4 +1,4 @@
-"""The driveline in its backlash: the model against SciPy, a cloud of drivelines against a known
+"""The driveline in its backlash: the model against SciPy, a cloud of particles against a known
 truth, and whether what it promises is so."""
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from meshpoint.controller.estimation.lash import (
     SEEN_SDS,
     Lash,
     LashStart,
-    VehicleCourse,
+    VehicleTrajectory,
 )
 from meshpoint.controller.estimation.lash_cloud import (
     LashCloud,
     spread,
 )
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
-from meshpoint.controller.estimation.lash_start import StartWatch, vehicle_course
+from meshpoint.controller.estimation.lash_start import StartWatch, vehicle_trajectory
 from meshpoint.controller.estimation.loaded_driveline import BehindState
 from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.motion.lash_motion import (
@@ -80,7 +80,7 @@ def rates(x: Vector) -> Vector:
     return found
 
 
-def course_of(x: Vector, model: LashModel, step_s: float, count: int) -> Vector:
+def trajectory_of(x: Vector, model: LashModel, step_s: float, count: int) -> Vector:
     """Angles of one driveline at equal steps of time."""
     x, angles = x.copy(), np.empty(count)
     for k in range(count):
@@ -98,7 +98,7 @@ def test_flanks_are_met_and_left_as_by_scipy(slip: float) -> None:
         lambda _t, x: rates(x), (0.0, 0.3), start[:, 0], method="DOP853", t_eval=times,
         rtol=1e-9, atol=1e-11, max_step=5e-4,
     ).y  # fmt: skip
-    found = course_of(start, MODEL, 2.5e-3, 121)
+    found = trajectory_of(start, MODEL, 2.5e-3, 121)
     assert np.abs(found - whole[ANGLE]).max() < 1.7e-3  # 0.1 deg, a tenth of half a gap
     assert (whole[WAY] < -1e-4).any() and (whole[WAY] > 0.03).any()
 
@@ -117,7 +117,7 @@ def test_flanks_push_and_never_pull() -> None:
 
 def test_a_driveline_that_falls_hard_onto_a_flank_stays_there() -> None:
     """A shaft far from the vehicle's speed, as after a wheel's edges were lost: the stiffest flank
-    with the most loss takes it up, and its course ahead stays one of numbers."""
+    with the most loss takes it up, and its trajectory ahead stays one of numbers."""
     x = a_driveline(-45.0)
     x[STIFF], x[LOSS], x[HALF], x[WAY] = 42_000.0, 2.1, 0.0235, 0.0064
     found = np.empty((2, 49, 1))
@@ -156,7 +156,7 @@ class Truth:
         x = first[:, [int(rng.integers(first.shape[1]))]]
         x[SPEED] = 60.0 + 1.5 * rng.standard_normal()
         self.step_s, count = 1e-3, 420
-        self.angle = course_of(x, lash.model(60.0), self.step_s, count)
+        self.angle = trajectory_of(x, lash.model(60.0), self.step_s, count)
         passed = EDGE_RAD / 2.0 * np.arange(1, int(self.angle[-1] / EDGE_RAD * 2.0))
         times = np.interp(passed, self.angle, 1e6 * self.step_s * np.arange(count))
         self.edges = np.array((times, passed + tooth_rad * rng.standard_normal(times.size)))
@@ -180,11 +180,11 @@ def test_a_promised_probability_is_kept() -> None:
         cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
         for until_us in (100e3, 160e3, 220e3):
             cloud.take(truth.edges[:, truth.edges[0] <= until_us], tooth_rad)
-            course = cloud.course(HALF_GAP_RAD)
-            assert course is not None
+            trajectory = cloud.trajectory(HALF_GAP_RAD)
+            assert trajectory is not None
             wait_s = (until_us + AHEAD_US - cloud.time_us) * 1e-6
-            off = course.ahead(wait_s)[0] - truth.angle_at(until_us + AHEAD_US)
-            sd = course.theta_sd_ahead(wait_s)
+            off = trajectory.ahead(wait_s)[0] - truth.angle_at(until_us + AHEAD_US)
+            sd = trajectory.theta_sd_ahead(wait_s)
             promised.append(math.erf(HALF_GAP_RAD / (math.sqrt(2.0) * sd)))
             kept.append(abs(off) < HALF_GAP_RAD)
     sure = np.array(kept)[np.array(promised) > 0.8]
@@ -215,23 +215,23 @@ def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
         x = a_driveline(slip)
         x[HALF], x[STIFF], x[DRAG], x[HILL] = half, math.exp(lash.known.stiff_log), 9.0, 0.0
         x[WAY] = half * (1.0 - math.copysign(0.98, slip))
-        angle = course_of(x, lash.model(60.0), 1e-3, 300)
+        angle = trajectory_of(x, lash.model(60.0), 1e-3, 300)
         passed = EDGE_RAD / 2.0 * np.arange(1, int(angle[-1] / EDGE_RAD * 2.0))
         edges = np.array((np.interp(passed, angle, 1e3 * np.arange(300)), passed))
         cloud = LashCloud(lash, LashStart(0.0, 0.0, float(x[SPEED, 0]), 60.0), 1e-6)
         cloud.take(edges, 1e-3)
         lash.learn(cloud.log_figure)
-    told = (lash.known.half_log - lash.prior.half_log) / math.log(1.6)
-    assert 0.2 < told < 1.6
+    reported = (lash.known.half_log - lash.prior.half_log) / math.log(1.6)
+    assert 0.2 < reported < 1.6
     assert 0.3 * lash.prior.half_sd < lash.known.half_sd < lash.prior.half_sd
     assert len(SEEN_SDS) == 4
 
 
-def test_what_is_not_a_number_leaves_no_course() -> None:
+def test_what_is_not_a_number_leaves_no_trajectory() -> None:
     lash = a_lash()
     cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
     cloud.take(np.array([[1e3], [math.nan]]), 1e-3)
-    assert not cloud.is_alive and cloud.course(HALF_GAP_RAD) is None
+    assert not cloud.is_alive and cloud.trajectory(HALF_GAP_RAD) is None
     known = lash.known
     lash.learn(cloud.log_figure)
     assert lash.known == known
@@ -239,14 +239,14 @@ def test_what_is_not_a_number_leaves_no_course() -> None:
 
 def test_the_same_edges_give_the_same_cloud() -> None:
     lash = a_lash()
-    truth, courses = Truth(lash, 7, 2e-3), []
+    truth, trajectories = Truth(lash, 7, 2e-3), []
     for _ in range(2):
         cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
         cloud.take(truth.edges, 2e-3)
-        course = cloud.course(HALF_GAP_RAD)
-        assert course is not None
-        courses.append([*course.ahead(0.05), course.theta_sd_ahead(0.05)])
-    assert courses[0] == courses[1]
+        trajectory = cloud.trajectory(HALF_GAP_RAD)
+        assert trajectory is not None
+        trajectories.append([*trajectory.ahead(0.05), trajectory.theta_sd_ahead(0.05)])
+    assert trajectories[0] == trajectories[1]
 
 
 def test_what_will_be_known_is_never_less() -> None:
@@ -254,10 +254,10 @@ def test_what_will_be_known_is_never_less() -> None:
     truth = Truth(lash, 3, 2e-3)
     cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
     cloud.take(truth.edges[:, truth.edges[0] < 80e3], 2e-3)
-    course = cloud.course(HALF_GAP_RAD)
-    assert course is not None
-    found = course.outlook(0.045, 0.01, 12)
-    assert found[0] == pytest.approx(course.theta_sd_ahead(0.045) ** 2)
+    trajectory = cloud.trajectory(HALF_GAP_RAD)
+    assert trajectory is not None
+    found = trajectory.outlook(0.045, 0.01, 12)
+    assert found[0] == pytest.approx(trajectory.theta_sd_ahead(0.045) ** 2)
     assert (found <= found[0] * (1.0 + 1e-9)).all()
 
 
@@ -278,8 +278,10 @@ def test_a_backlash_that_was_believed_is_doubted_only_where_it_is_no_likelier_an
     assert not believed[-1]
 
 
-@pytest.mark.parametrize(("twist_rad", "told"), [(0.06, True), (0.01, False)])
-def test_a_cloud_begins_where_the_driveline_was_found_in_gear(twist_rad: float, told: bool) -> None:
+@pytest.mark.parametrize(("twist_rad", "reported"), [(0.06, True), (0.01, False)])
+def test_a_cloud_begins_where_the_driveline_was_found_in_gear(
+    twist_rad: float, reported: bool
+) -> None:
     """With a flank pressed on nine tenths of it are there; amid the backlash half of it is."""
     lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
     half = lash.shafts.half_lash_rad
@@ -292,7 +294,7 @@ def test_a_cloud_begins_where_the_driveline_was_found_in_gear(twist_rad: float, 
         assert x[row].std() * RATIO == pytest.approx(sds[k], rel=0.1)
     # The shafts' twist beyond their flank is theirs, whatever the backlash turns out to be.
     twist = (x[WAY] - x[HALF]) * RATIO
-    if told:
+    if reported:
         beyond = twist - x[HALF] * RATIO
         found = np.abs(beyond - (twist_rad - half)) < 3.0 * sds[0]
         assert 0.88 < found.mean() < 0.97
@@ -301,8 +303,8 @@ def test_a_cloud_begins_where_the_driveline_was_found_in_gear(twist_rad: float, 
         assert 0.5 < found.mean() < 0.75
 
 
-def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:
-    """On a hill that slows it by 5 rad/s2; or what the last window has told."""
+def test_the_vehicle_s_trajectory_is_what_the_shaft_swings_about_in_gear() -> None:
+    """On a hill that slows it by 5 rad/s2; or what the last window has reported."""
     watch = StartWatch()
     times = np.arange(0.0, 400e3, 1e3)
     seconds = 1e-6 * (times - 400e3)
@@ -319,13 +321,13 @@ def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:
     assert start.hill_rad_s2 == pytest.approx(-5.0, abs=2.0)
     assert start.pressed_nm == -80.0
     assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
-    watch.take_vehicle(VehicleCourse(500e3, 59.0, -4.0, np.diag((0.01, 1.0))))
+    watch.take_vehicle(VehicleTrajectory(500e3, 59.0, -4.0, np.diag((0.01, 1.0))))
     watch.released(600e3)
     start = watch.take_out(out + np.array([[200e3], [12.0]]), VEHICLE_SDS)
     assert start is not None and start.vehicle_rad_s == pytest.approx(58.6)
 
 
-def test_the_vehicle_s_course_is_as_sure_as_it_says() -> None:
+def test_the_vehicle_s_trajectory_is_as_sure_as_it_says() -> None:
     """Of vehicles on hills, whose shafts ring as each pleases, that say nothing of their own."""
     rng, off = np.random.default_rng(5), []
     waits = np.arange(-0.3, 0.0, 0.01)
@@ -336,7 +338,7 @@ def test_the_vehicle_s_course_is_as_sure_as_it_says() -> None:
         angles = 60.0 * waits + hill * waits**2 / 2 + change * waits**3 / 6
         angles += strength * np.sin(2.0 * math.pi * pitch_hz * waits + at)
         angles += 2e-3 * rng.standard_normal(waits.size)
-        (speed, found), covariance = vehicle_course(waits, angles, VEHICLE_SDS)
+        (speed, found), covariance = vehicle_trajectory(waits, angles, VEHICLE_SDS)
         off.append((speed - 60.0, found - hill) / np.sqrt(np.diag(covariance)))
         assert covariance[0, 0] > speed_sd**2
     assert np.abs(off).max() < 4.0

@@ -29,7 +29,7 @@ from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import TURN
 
 TUNING = CrossingFilterTuning()
-Misfit = Callable[[Sequence[float]], float]
+Deviance = Callable[[Sequence[float]], float]
 
 
 def test_a_figure_lies_within_its_factor_of_a_typical_one() -> None:
@@ -50,7 +50,7 @@ def test_a_figure_lies_within_its_factor_of_a_typical_one() -> None:
         assert found.sd == pytest.approx(kept_sd)
 
 
-def seen_at(log: float, sd: float, k: int = 0) -> Misfit:
+def seen_at(log: float, sd: float, k: int = 0) -> Deviance:
     """Minus twice the log-likelihood of a shift that saw a figure there, by that deviation."""
     return lambda logs: 3.0 + ((logs[k] - log) / sd) ** 2
 
@@ -59,12 +59,12 @@ def seen_at(log: float, sd: float, k: int = 0) -> Misfit:
 def test_a_shift_and_what_was_known_are_weighed_by_their_variances(at: float, sd: float) -> None:
     """What was known has become a little less sure in between."""
     known = Learned(0.1, 0.25, -3.0, 3.0, 0.6, 0.001)
-    (found,), misfit = learn([known], seen_at(at, sd))
+    (found,), deviance = learn([known], seen_at(at, sd))
     grown = GROWTH * known.sd**2
     weight = 1.0 / grown + 1.0 / sd**2
     assert found.log == pytest.approx((0.1 / grown + at / sd**2) / weight, abs=1e-6)
     assert found.sd == pytest.approx(weight**-0.5, rel=1e-6)
-    assert misfit == pytest.approx(3.0 + (at - 0.1) ** 2 / (grown + sd**2), rel=1e-6)
+    assert deviance == pytest.approx(3.0 + (at - 0.1) ** 2 / (grown + sd**2), rel=1e-6)
     assert (found.prior_sd, found.least_sd) == (known.prior_sd, known.least_sd)
 
 
@@ -89,18 +89,18 @@ def test_a_figure_stays_within_its_range() -> None:
 def test_a_shift_that_no_figure_explains_teaches_nothing() -> None:
     known = [Learned(0.1, 0.3, -3.0, 3.0, 0.6, 0.01)]
     for none in (math.inf, math.nan):
-        found, misfit = learn(known, lambda _, none=none: none)
+        found, deviance = learn(known, lambda _, none=none: none)
         assert found == known
-        assert misfit == math.inf
+        assert deviance == math.inf
 
 
 def test_two_figures_that_make_up_for_each_other_are_found_in_the_valley() -> None:
     known = [Learned(0.0, 0.5, -3.0, 3.0, 0.5, 0.01) for _ in range(2)]
 
-    def misfit(logs: Sequence[float]) -> float:
+    def deviance(logs: Sequence[float]) -> float:
         return ((logs[0] + 0.3 * logs[1] - 0.4) / 0.05) ** 2 + ((logs[1] - 0.1) / 0.2) ** 2
 
-    found, _ = learn(known, misfit)
+    found, _ = learn(known, deviance)
     assert found[0].log + 0.3 * found[1].log == pytest.approx(0.4, abs=0.02)
     assert found[1].log == pytest.approx(0.1, abs=0.06)
 
@@ -108,16 +108,16 @@ def test_two_figures_that_make_up_for_each_other_are_found_in_the_valley() -> No
 def test_of_several_minima_the_deepest_is_found_where_the_whole_range_is_looked_at() -> None:
     """And only while the figure is not well known."""
 
-    def misfit(logs: Sequence[float]) -> float:
+    def deviance(logs: Sequence[float]) -> float:
         return 10.0 * (1.0 - math.cos(6.0 * (logs[0] - 0.9))) + 4.0 * abs(logs[0] - 0.9)
 
     unsure = Learned(0.0, 1.0, -1.5, 1.5, 1.0, 0.005)
-    (found,), _ = learn([unsure], misfit, (0,))
+    (found,), _ = learn([unsure], deviance, (0,))
     assert found.log == pytest.approx(0.9, abs=0.02)
-    (near,), _ = learn([unsure], misfit)
+    (near,), _ = learn([unsure], deviance)
     assert abs(near.log - 0.9) > 0.3
     sure = Learned(-0.15, 0.05, -1.5, 1.5, 1.0, 0.005)
-    (kept,), _ = learn([sure], misfit, (0,))
+    (kept,), _ = learn([sure], deviance, (0,))
     assert abs(kept.log + 0.15) < 0.1
 
 

@@ -119,7 +119,7 @@ def test_a_shaft_that_something_drives_may_accelerate_by_so_much_for_so_long() -
     assert np.count_nonzero(start - np.diag(np.diag(start))) == 0
 
 
-def test_a_state_is_told_with_its_standard_deviations_and_none_of_a_negative_variance() -> None:
+def test_a_state_is_reported_with_its_standard_deviations_and_none_of_a_negative_variance() -> None:
     p = diagonal(1e-3, 0.2, 3e3, 1.0, 0.1, 2.0)
     state = state_of(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), p, 77.0)
     assert state[:4] == (77.0, 1.0, 2.0, 3.0)

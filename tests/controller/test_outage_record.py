@@ -53,7 +53,7 @@ class Run:
         self._number = 0
 
     def steps(self, count: int, lost: int = 0) -> Run:
-        """So many steps; before each of them so many frames were lost."""
+        """This many steps; before each of them this many frames were lost."""
         for _ in range(count):
             self.lost += lost
             self.lines += self.kept.step(10_000 * self._number).events[1:]

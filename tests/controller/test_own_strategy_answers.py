@@ -194,8 +194,8 @@ SHOWN = """class Shown({2}):
 """
 
 
-def told(repr_: str, str_: str = "''", raised: bool = False) -> str:
-    """How an object that is shown so is told: as an answer, or as it is raised."""
+def reported(repr_: str, str_: str = "''", raised: bool = False) -> str:
+    """How an object that is shown so is reported: as an answer, or as it is raised."""
     shown = SHOWN.format(repr_, str_, "Exception" if raised else "").encode()
     body = b"    def wrong(self): raise Shown\n" if raised else b""
     source = text(contact="self.wrong()" if raised else "Shown()") + body + shown
@@ -203,15 +203,15 @@ def told(repr_: str, str_: str = "''", raised: bool = False) -> str:
 
 
 def test_whatever_it_returns_is_shown_in_one_line_of_two_hundred_signs() -> None:
-    long = told("'x' * 300 + '\\n'")
+    long = reported("'x' * 300 + '\\n'")
     assert long.startswith(f"{PATH}:8: contact() is {'x' * 200}, allowed")
-    assert told("'one\\ntwo'").startswith(f"{PATH}:8: contact() is one, allowed")
-    assert told("''").startswith(f"{PATH}:8: contact() is , allowed")
-    assert told("1 / 0").startswith(f"{PATH}:8: contact() is a Shown, allowed")
+    assert reported("'one\\ntwo'").startswith(f"{PATH}:8: contact() is one, allowed")
+    assert reported("''").startswith(f"{PATH}:8: contact() is , allowed")
+    assert reported("1 / 0").startswith(f"{PATH}:8: contact() is a Shown, allowed")
 
 
 def test_what_it_raises_is_told_by_its_message() -> None:
-    assert told("'repr'", "'message'", raised=True) == f"{PATH}:10: Shown: message"
+    assert reported("'repr'", "'message'", raised=True) == f"{PATH}:10: Shown: message"
 
 
 def test_nothing_that_is_no_number_is_a_time() -> None:

@@ -1,4 +1,4 @@
-"""The price of a contact and the course up to it, by normal law and constant deceleration."""
+"""The price of a contact and the trajectory up to it, by normal law and constant deceleration."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from meshpoint.controller.planning.plan_kernels import (
     CONTACT_SERIES,
     MEETING,
     TERMS,
-    best_course,
+    best_trajectory,
     cheapest,
-    course,
-    courses,
     expected_least,
+    trajectories,
+    trajectory,
 )
 from meshpoint.controller.records import Vector, filled
 
@@ -132,7 +132,7 @@ def test_a_miss_is_paid_beside_all_else() -> None:
     assert price(phase, slip, 1e-8, of, 0.1) == pytest.approx(expected)
 
 
-def test_the_cheapest_of_a_course_has_its_index_and_its_time() -> None:
+def test_the_cheapest_of_a_trajectory_has_its_index_and_its_time() -> None:
     """Contacts come step by step; the phase of all is moved together."""
     of = terms(**FREE | {"aim_s": 1.0}, target_rad=0.0)
     phase, still = np.array([0.02, 0.018, 0.004, 0.004, -0.019]), np.zeros(5)
@@ -159,8 +159,8 @@ def test_a_sure_miss_soon_costs_more_than_a_hit_later() -> None:
 def test_of_no_contact_at_all_there_is_no_price() -> None:
     none = np.empty(0)
     assert cheapest(none, none, none, series(), terms(), 0.0) == (0, math.inf)
-    no_course = np.empty((0, 2, 1))
-    found = best_course(no_course, none, none, series(), terms(), 0.0)
+    no_trajectory = np.empty((0, 2, 1))
+    found = best_trajectory(no_trajectory, none, none, series(), terms(), 0.0)
     assert found == (0, 0, math.inf)
 
 
@@ -189,7 +189,9 @@ def test_who_may_choose_later_pays_for_each_outcome_its_own_least() -> None:
     assert expected_least(phase[::-1].copy(), np.zeros(2), known, series(), of, spread)[0] == 1
 
 
-def test_of_several_courses_the_one_of_least_expected_price_is_told_with_its_contact() -> None:
+def test_of_several_trajectories_the_one_of_least_expected_price_is_reported_with_its_contact() -> (
+    None
+):
     of = terms(**FREE | {"aim_s": 1.0}, target_rad=0.0)
     off = np.array([[0.02, 0.01, 0.02], [0.02, 0.02, 0.006], [0.006, 0.02, 0.02]])
     found = np.zeros((3, 2, 3))
@@ -197,14 +199,14 @@ def test_of_several_courses_the_one_of_least_expected_price_is_told_with_its_con
     contacts, known = series(77.0, 0.0), np.full(3, 1e-6)
     spread_price = (2e-3 / HALF) ** 2
     waits = np.array([0.5, 0.5, 0.5])
-    chosen, index, cost = best_course(found, known, waits, contacts, of, 2e-3)
+    chosen, index, cost = best_trajectory(found, known, waits, contacts, of, 2e-3)
     assert (chosen, index) == (1, 2), "of two that cost the same, the first"
     assert cost == pytest.approx(0.5 + 0.3**2 + spread_price)
     waits = np.array([0.5, 0.25, 0.125])
-    chosen, index, cost = best_course(found, known, waits, contacts, of, 2e-3)
+    chosen, index, cost = best_trajectory(found, known, waits, contacts, of, 2e-3)
     assert (chosen, index, cost) == pytest.approx((2, 0, 0.125 + 0.3**2 + spread_price))
     waits = np.array([0.0, 0.25, 0.25])
-    chosen, index, cost = best_course(found, known, waits, contacts, of, 0.0)
+    chosen, index, cost = best_trajectory(found, known, waits, contacts, of, 0.0)
     assert (chosen, index, cost) == pytest.approx((0, 1, 0.5**2))
 
 
@@ -223,7 +225,7 @@ def meeting(first_us: float, step_us: float = 4_000.0) -> Vector:
                   reference_rad=REFERENCE, main_us=3_000.0, drift_rad_s=DRIFT)  # fmt: skip
 
 
-def main_course(count: int) -> Vector:
+def main_trajectory(count: int) -> Vector:
     return np.array([2.0 + 0.25 * np.arange(count), 64.0 - 0.5 * np.arange(count)])
 
 
@@ -233,12 +235,12 @@ def layshaft(drag: float = -30.0, disturbance: float = 0.0) -> Vector:
 
 def test_phase_and_slip_are_those_of_two_shafts_that_slow_down_steadily() -> None:
     """theta + omega t + s t^2 / 2; the drift goes on from the main shaft's time."""
-    found, x = main_course(3), layshaft()
-    course(x, np.empty((2, 0)), motion(), meeting(6_000.0), found)
+    found, x = main_trajectory(3), layshaft()
+    trajectory(x, np.empty((2, 0)), motion(), meeting(6_000.0), found)
     after_s = np.array([5e-3, 9e-3, 13e-3])
     theta = 1.5 + 100.0 * after_s - 15.0 * after_s**2
     omega = 100.0 - 30.0 * after_s
-    main = main_course(3)
+    main = main_trajectory(3)
     drifted = DRIFT * np.array([3e-3, 7e-3, 11e-3])
     assert np.allclose(found[0], I_GEAR * theta - main[0] - REFERENCE + drifted, atol=1e-12)
     assert np.allclose(found[1], I_GEAR * omega - main[1] + DRIFT, atol=1e-12)
@@ -254,9 +256,9 @@ def test_a_brake_that_is_released_takes_the_speed_that_its_pressure_lasts_for() 
     brake.schedule(60_000, False, 1_500)
     x = layshaft(0.0)
     releases_us = [9_000.0, 4_000.0, 30_000.0]
-    found = np.array([main_course(2)] * 3)
+    found = np.array([main_trajectory(2)] * 3)
     releases = np.array([releases_us, [at + 1_000.0 for at in releases_us], [40_000.0] * 3])
-    courses(x, brake.commanded(), motion(), meeting(5.0), releases, found)
+    trajectories(x, brake.commanded(), motion(), meeting(5.0), releases, found)
     for row, at_us in zip(found, releases_us, strict=True):
         braked_s = (at_us + 1_000.0 - 2_000.0) * 1e-6
         omega = 100.0 - G * SUPPLY * braked_s
@@ -276,17 +278,17 @@ def test_a_release_leaves_the_same_switches_as_the_brake_s_own_record_of_them(
     switched = ((2_000, True), (9_000, False), (20_000, True), (70_000, False), (80_000, True))
     for at_us, on in switched:
         brake.schedule(at_us, on, at_us - 1)
-    found, alone = np.array([main_course(30)]), main_course(30)
+    found, alone = np.array([main_trajectory(30)]), main_trajectory(30)
     releases = np.array([[release_us], [release_us + 1_000.0], [3_000.0]])
-    courses(layshaft(), brake.commanded(), motion(2.0), meeting(5.0), releases, found)
-    course(layshaft(), brake.with_release(release_us), motion(2.0), meeting(3_000.0), alone)
+    trajectories(layshaft(), brake.commanded(), motion(2.0), meeting(5.0), releases, found)
+    trajectory(layshaft(), brake.with_release(release_us), motion(2.0), meeting(3_000.0), alone)
     assert np.allclose(found[0], alone, rtol=0.0, atol=1e-12)
 
 
 def test_a_brake_that_was_never_on_can_be_released() -> None:
-    found, alone = np.array([main_course(4)]), main_course(4)
+    found, alone = np.array([main_trajectory(4)]), main_trajectory(4)
     releases = np.array([[5_000.0], [6_000.0], [3_000.0]])
     commands = BrakeInput(0).commanded()
-    courses(layshaft(), commands, motion(), meeting(5.0), releases, found)
-    course(layshaft(), np.empty((2, 0)), motion(), meeting(3_000.0), alone)
+    trajectories(layshaft(), commands, motion(), meeting(5.0), releases, found)
+    trajectory(layshaft(), np.empty((2, 0)), motion(), meeting(3_000.0), alone)
     assert np.array_equal(found[0], alone)

@@ -1,4 +1,4 @@
-"""What a sensor's lag did to a pressure is taken back."""
+"""What a sensor's lag did to a pressure is withdrawn."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from meshpoint.controller.sensing.pressure_zero import PressureZero
 TAU_S, OFFSET_PA, TICK_US = 0.045, 0.3e5, 10_000
 
 
-def course(seed: int) -> tuple[PressureZero, list[tuple[bool, float, float]]]:
+def trajectory(seed: int) -> tuple[PressureZero, list[tuple[bool, float, float]]]:
     """Rest, braking, the pressure's fall, rest: driven, true and corrected pressure."""
     rng, zero, pressure_pa = np.random.default_rng(seed), PressureZero(TAU_S), 0.0
     seen = []
@@ -26,7 +26,7 @@ def course(seed: int) -> tuple[PressureZero, list[tuple[bool, float, float]]]:
 
 
 def test_the_offset_is_taken_out_also_while_braking() -> None:
-    zero, seen = course(1)
+    zero, seen = trajectory(1)
     errors = [corrected - true for _, true, corrected in seen[200:]]
     assert abs(float(np.mean(errors))) < 1e3
     assert zero.offset_pa == pytest.approx(OFFSET_PA, abs=1e3)
@@ -42,7 +42,7 @@ def test_pressure_in_the_chamber_is_not_taken_for_an_offset() -> None:
 
 
 def test_the_offset_is_the_mean_of_what_an_empty_chamber_showed_the_old_counting_less() -> None:
-    """A sample weighs 0.998 of the next one. Nothing is told before ten samples' weight."""
+    """A sample weighs 0.998 of the next one. Nothing is reported before ten samples' weight."""
     zero, shown = PressureZero(TAU_S), []
     begun_us = 8e6 * TAU_S
     zero.take(0.0, 8e5, True)
@@ -51,9 +51,9 @@ def test_the_offset_is_the_mean_of_what_an_empty_chamber_showed_the_old_counting
         corrected = zero.take(begun_us + k * TICK_US, pressure_pa, False)
         shown.append(pressure_pa)
         weights = 0.998 ** np.arange(k - 1.0, -1.0, -1.0)
-        told = float(np.average(shown, weights=weights)) if weights.sum() >= 10.0 else 0.0
-        assert zero.offset_pa == pytest.approx(told)
-        assert corrected == pytest.approx(pressure_pa - told)
+        reported = float(np.average(shown, weights=weights)) if weights.sum() >= 10.0 else 0.0
+        assert zero.offset_pa == pytest.approx(reported)
+        assert corrected == pytest.approx(pressure_pa - reported)
 
 
 @pytest.mark.parametrize(("late_us", "is_empty"), [(0, False), (1, True)])
@@ -69,8 +69,8 @@ def test_a_chamber_is_empty_eight_time_constants_after_its_valve_went_off(
 
 
 def test_the_pressure_of_a_stuck_valve_is_not_taken_for_an_offset() -> None:
-    """Off for two seconds, and still 8 bar: it is told as what it is, so that no gear is engaged
-    against it."""
+    """Off for two seconds, and still 8 bar: it is reported as what it is, so that no gear is
+    engaged against it."""
     zero = PressureZero(TAU_S)
-    told = [zero.take(k * TICK_US, 8e5, driven=k < 40) for k in range(240)]
-    assert told[-1] == 8e5
+    reported = [zero.take(k * TICK_US, 8e5, driven=k < 40) for k in range(240)]
+    assert reported[-1] == 8e5

@@ -49,7 +49,7 @@ def test_first_tells_second_where_their_turns_have_a_common_factor(
     at: tuple[int, int, int],
 ) -> None:
     """Of the thesis's box, first stands as before after 25 turns, second after 5, third after 31:
-    first or second tells nothing of third."""
+    first or second says nothing of third."""
     assert [turn_candidates(THESIS, gear) for gear in MAIN_GEARS] == [17, 25, 5, 31]
     bench = Bench(THESIS)
     bench.restore(*MAIN_GEARS)
@@ -121,7 +121,7 @@ def test_a_wheel_that_was_exchanged_ends_the_wait_for_its_references() -> None:
     bench.restore(*MAIN_GEARS)
     bench.find(main=False)
     bench.main.forget()
-    bench.recovery.look(bench.events, bench.renumbered)
+    bench.recovery.measure(bench.events, bench.renumbered)
     bench.main.memory = ToothPattern(bench.patterns[1], 1e-4, 1)
     bench.find()
     assert bench.known() == set()
@@ -293,7 +293,7 @@ def test_two_learnings_of_a_gear_may_differ_by_four_standard_deviations(
     bench.learn(MainGear.SECOND, off_deg * DEG)
     assert bench.references.source(MainGear.SECOND) is ReferenceSource.MEASURED
     assert (len(bench.references.offsets_rad) == 4) is agrees
-    # A look that is itself poorly known excludes less.
+    # A measurement that is itself poorly known excludes less.
     bench = Bench(WHOLE)
     bench.restore(*MAIN_GEARS)
     bench.find()

@@ -93,7 +93,7 @@ from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
 from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
-from meshpoint.controller.planning.plan_kernels import course, expected_least
+from meshpoint.controller.planning.plan_kernels import trajectory, expected_least
 from meshpoint.controller.records import filled
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.controller.estimation.teeth import WheelTeeth
@@ -127,10 +127,10 @@ main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.0, 0.0]), np.diag(np.lins
 main.take(edges * [[1.0], [0.9]], 1e-3, Pressures(np.empty(0), np.empty(0)), switches, motion)
 swing = Swing(main.x, main.p, motion)
 ahead = np.empty((2, 20))
-swing.course(1e-3, 2e-3, ahead)
+swing.trajectory(1e-3, 2e-3, ahead)
 meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
     reference_rad=0.1, main_us=0.0, drift_rad_s=0.02)
-course(x.copy(), switches, model.flat, meeting, ahead)
+trajectory(x.copy(), switches, model.flat, meeting, ahead)
 contacts = filled(CONTACT_SERIES, wait_s=0.02, step_s=2e-3)
 variance = np.interp(np.arange(20.0), np.arange(5) * 4.0, swing.outlook(0.05, 0.01, 5))
 terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overlap_s=2e-3,

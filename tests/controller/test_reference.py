@@ -61,9 +61,10 @@ def lock(
     """The gear lies on its flank and turns with the sleeve; looked at until learned."""
     references.locked(gear, slip)
     flank = math.copysign(HALF_GAP, slip)
-    for look in range(20):
-        at_ms = theta_ms + 0.6 * look
-        # Turning together, the layshaft is at the same tooth of the same flank at every look.
+    for measurement in range(20):
+        at_ms = theta_ms + 0.6 * measurement
+        # Turning together, the layshaft is at the same tooth of the same flank at every
+        # measurement.
         theta_ls = box.layshaft_at_phase(flank, at_ms, 3)
         if references.watch(gear, theta_ls, at_ms):
             return True
@@ -113,9 +114,9 @@ def float_about(
     """The gear in mesh with next to no torque: its tooth swings between two places of its gap,
     shares of half a gap, for 0.3 s, and is never seen to lie still. Then it is taken out."""
     references.locked(gear, 0.0, straight=False)
-    for look in range(32):
-        swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * look)
-        at_ms = 7.0 + 0.6 * look
+    for measurement in range(32):
+        swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * measurement)
+        at_ms = 7.0 + 0.6 * measurement
         theta_ls = box.layshaft_at_phase(swing * HALF_GAP, at_ms, 3)
         assert not references.watch(gear, theta_ls, at_ms)
     references.released()
@@ -158,7 +159,7 @@ def test_lost_counts_lose_every_reference(sheet: GearboxSheet) -> None:
 
 
 def test_a_gear_that_turns_back_in_its_gap_lies_on_the_other_flank(sheet: GearboxSheet) -> None:
-    """Drag carries a tooth that has met one flank across the gap to the other: the move tells on
+    """Drag carries a tooth that has met one flank across the gap to the other: the move reports on
     which it lies, whatever the slip at contact was."""
     references = PhaseReferences(sheet)
     box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
@@ -169,7 +170,7 @@ def test_a_gear_that_turns_back_in_its_gap_lies_on_the_other_flank(sheet: Gearbo
     while not references.watch(MainGear.SECOND, box.layshaft_at_phase(-HALF_GAP, 5.0, 3), 5.0):
         pass
     error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
-    # The last look on the way is one of the five that were still enough.
+    # The last measurement on the way is one of the five that were still enough.
     assert abs(math.remainder(error, PITCH)) < 0.1 * HALF_GAP
 
 
@@ -232,18 +233,18 @@ def test_a_gear_locked_without_slip_lies_on_a_flank_nobody_knows(sheet: GearboxS
 
 
 def test_noise_of_the_angles_averages_out(sheet: GearboxSheet) -> None:
-    """Looks that differ by less than half a pitch are of one tooth, also across the wrap."""
+    """Measurements that differ by less than half a pitch are of one tooth, also across the wrap."""
     references = PhaseReferences(sheet)
     box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
     references.locked(MainGear.SECOND, 1.0)
-    noise, learned, look = 0.0015, False, 0
+    noise, learned, measurement = 0.0015, False, 0
     while not learned:
-        at_ms = 0.6 * look
-        theta_ls = box.layshaft_at_phase(HALF_GAP, at_ms, 3 + look)
-        ripple = noise * (-1) ** look
+        at_ms = 0.6 * measurement
+        theta_ls = box.layshaft_at_phase(HALF_GAP, at_ms, 3 + measurement)
+        ripple = noise * (-1) ** measurement
         learned = references.watch(MainGear.SECOND, theta_ls + ripple, at_ms)
-        look += 1
-        assert look < 50
+        measurement += 1
+        assert measurement < 50
     error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
     assert abs(math.remainder(error, PITCH)) < noise / 2.0
 
@@ -262,21 +263,21 @@ def test_a_flank_that_was_taken_for_the_other_is_put_right_when_the_whole_gap_wa
     box = Gearbox(*TEETH[MainGear.SECOND], 0.3, -1.1, 0.7)
     references, main = PhaseReferences(SHEET), 12.0
 
-    def look(phase: float, pulled: bool = False) -> None:
+    def measurement(phase: float, pulled: bool = False) -> None:
         angle = box.layshaft_at_phase(phase, main, 3)
         references.watch(MainGear.SECOND, angle, main, pulled)
 
     references.locked(MainGear.SECOND, -2.0)
     for phase in [HALF_GAP] * 3 + [-HALF_GAP] * 8:
-        look(phase)
+        measurement(phase)
     references.locked(MainGear.SECOND, 2.0)
     for _ in range(8):
-        look(HALF_GAP, pulled=True)
+        measurement(HALF_GAP, pulled=True)
     angle = box.layshaft_at_phase(0.0, main, 3)
     wrong = wrap_to_pitch(references.phase_rad(MainGear.SECOND, angle, main), PITCH)
     assert abs(wrong) == pytest.approx(2.0 * HALF_GAP, rel=0.1)
     for phase in [-HALF_GAP] * 4 + [HALF_GAP] * 4:
-        look(phase)
+        measurement(phase)
     references.released()
     right = wrap_to_pitch(references.phase_rad(MainGear.SECOND, angle, main), PITCH)
     assert abs(right) < 0.1 * HALF_GAP

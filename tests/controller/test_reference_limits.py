@@ -14,7 +14,8 @@ GEAR, OTHER = MainGear.SECOND, MainGear.THIRD
 
 
 def theta(share: float, gear: MainGear = GEAR, pitches: int = 0) -> float:
-    """The layshaft's angle at which the raw phase is so many backlashes; the main shaft's is 0."""
+    """The layshaft's angle at which the raw phase is this many backlashes; the main shaft's is
+    0."""
     return (share * GAP + pitches * PITCH) / SHEET.main_mesh(gear).ratio
 
 
@@ -24,11 +25,11 @@ def locked(slip: float = 0.0, straight: bool = True, gear: MainGear = GEAR) -> P
     return references
 
 
-def look(
+def measurement(
     references: PhaseReferences, *shares: float, gear: MainGear = GEAR, pulled: bool = False,
     pitches: int = 0,
 ) -> int | None:  # fmt: skip
-    """Looks at these places. Returns at the how many-th a reference was stored."""
+    """Measurements at these places. Returns at the how many-th a reference was stored."""
     stored = None
     for k, share in enumerate(shares, 1):
         if references.watch(gear, theta(share, gear, pitches), 0.0, pulled):
@@ -54,10 +55,10 @@ def test_a_tooth_that_went_far_enough_lies_on_the_flank_to_which_it_went(
     side: float, way: float, stored: int | None
 ) -> None:
     """Beyond 0.85 backlashes it has crossed; beyond 0.3 it may have, and must lie still for longer;
-    less tells nothing, and what is beyond 1.25 was no look at this gap."""
+    less says nothing, and what is beyond 1.25 was no look at this gap."""
     references = locked()
-    assert look(references, *[0.0] * 4) is None
-    assert look(references, *[side * way] * 30) == stored
+    assert measurement(references, *[0.0] * 4) is None
+    assert measurement(references, *[side * way] * 30) == stored
     if stored is not None:
         assert offset(references) == pytest.approx(side * (way - 0.5))
         assert references.sd_rad(GEAR) == pytest.approx(0.0, abs=1e-12)
@@ -65,10 +66,10 @@ def test_a_tooth_that_went_far_enough_lies_on_the_flank_to_which_it_went(
 
 def test_a_tooth_that_was_seen_on_both_sides_lies_nowhere() -> None:
     """By at least 0.2 backlashes: else the one side is noise."""
-    assert look(locked(), *[-0.9] * 3, *[0.21] * 3, *[0.0] * 30) is None
-    assert look(locked(), *[0.9] * 3, *[-0.21] * 3, *[0.0] * 30) is None
-    assert look(locked(), *[-0.9] * 3, *[0.19] * 3, *[0.0] * 30) == 11
-    assert look(locked(), *[0.9] * 3, *[-0.19] * 3, *[0.0] * 30) == 11
+    assert measurement(locked(), *[-0.9] * 3, *[0.21] * 3, *[0.0] * 30) is None
+    assert measurement(locked(), *[0.9] * 3, *[-0.21] * 3, *[0.0] * 30) is None
+    assert measurement(locked(), *[-0.9] * 3, *[0.19] * 3, *[0.0] * 30) == 11
+    assert measurement(locked(), *[0.9] * 3, *[-0.19] * 3, *[0.0] * 30) == 11
 
 
 @pytest.mark.parametrize(("slip", "flank"), [(1.0, 1), (-1.0, -1), (0.1, 0)])
@@ -76,18 +77,18 @@ def test_a_tooth_that_has_not_moved_for_twenty_looks_lies_where_slip_carried_it(
     slip: float, flank: int
 ) -> None:
     references = locked(slip)
-    assert look(references, *[0.3] * 30) == (20 if flank else None)
+    assert measurement(references, *[0.3] * 30) == (20 if flank else None)
     if flank:
         assert offset(references) == pytest.approx(0.3 - flank * 0.5)
     for begin, stored in ((0.19, 20), (0.21, None)):
         references = locked(slip)
-        assert look(references, *[begin] * 10, *[0.0] * 20) == (stored if flank else None)
+        assert measurement(references, *[begin] * 10, *[0.0] * 20) == (stored if flank else None)
 
 
 def moving(gear: MainGear = OTHER) -> PhaseReferences:
     """A gearbox of which a tooth was seen to cross its gap."""
     references = locked(gear=gear)
-    assert look(references, *CROSSED, *[1.0] * 5, gear=gear) == 9
+    assert measurement(references, *CROSSED, *[1.0] * 5, gear=gear) == 9
     references.released()
     return references
 
@@ -96,40 +97,42 @@ def test_where_teeth_are_known_to_move_slip_tells_nothing_and_drag_does() -> Non
     """After six looks in a row that drag alone pulls; it lies at the lower flank."""
     references = moving()
     references.locked(GEAR, 1.0)
-    assert look(references, *[0.0] * 30) is None
+    assert measurement(references, *[0.0] * 30) is None
     references.locked(GEAR, 1.0)
-    assert look(references, *[0.7] * 8, pulled=True) == 6
+    assert measurement(references, *[0.7] * 8, pulled=True) == 6
     assert offset(references) == pytest.approx(0.7 + 0.5)
     references.locked(OTHER, 1.0)
-    assert look(references, *[0.1, 0.2] * 2, *[0.7] * 6, gear=OTHER, pulled=True) == 10
+    assert measurement(references, *[0.1, 0.2] * 2, *[0.7] * 6, gear=OTHER, pulled=True) == 10
     assert offset(references, OTHER) == pytest.approx(1.2), "of the last six alone"
     fresh = locked(0.0)
-    assert look(fresh, *[0.7] * 30, pulled=True) is None, "in a box whose teeth have not moved"
+    assert measurement(fresh, *[0.7] * 30, pulled=True) is None, (
+        "in a box whose teeth have not moved"
+    )
 
 
 def test_a_stay_that_proves_nothing_yet_counts_once_another_tooth_has_stayed() -> None:
     """Both lay unmoved, the first behind a sleeve that had rubbed."""
     references = locked(1.0, straight=False)
-    look(references, *[0.3] * 20)
+    measurement(references, *[0.3] * 20)
     references.released()
     assert not references.known(GEAR)
     references.locked(OTHER, -1.0)
-    assert look(references, *[0.0] * 20, gear=OTHER) == 20
+    assert measurement(references, *[0.0] * 20, gear=OTHER) == 20
     assert offset(references) == pytest.approx(0.3 - 0.5)
     assert offset(references, OTHER) == pytest.approx(0.5)
 
 
 def test_a_likely_reference_is_used_once_and_never_against_a_known_one() -> None:
     references = locked(1.0, straight=False)
-    look(references, *[0.3] * 20)
+    measurement(references, *[0.3] * 20)
     references.released()
     references.adopt(GEAR, 0.01, ReferenceSource.RESTORED)
     references.locked(OTHER, 1.0)
-    look(references, *[0.0] * 20, gear=OTHER)
+    measurement(references, *[0.0] * 20, gear=OTHER)
     assert references.offsets_rad[GEAR] == 0.01
     references.lose(GEAR)
     references.locked(OTHER, 1.0)
-    look(references, *[0.0] * 20, gear=OTHER)
+    measurement(references, *[0.0] * 20, gear=OTHER)
     assert not references.known(GEAR), "it was used up"
     assert references.source(OTHER) is ReferenceSource.MEASURED
 
@@ -137,7 +140,7 @@ def test_a_likely_reference_is_used_once_and_never_against_a_known_one() -> None
 def floats(references: PhaseReferences, low: float, high: float, pitches: int = 0) -> None:
     """In mesh once, between these places, without ever lying still."""
     references.locked(GEAR, 0.0, straight=False)
-    assert look(references, *[low] * 3, *[high] * 3, pitches=pitches) is None
+    assert measurement(references, *[low] * 3, *[high] * 3, pitches=pitches) is None
     references.released()
 
 
@@ -195,7 +198,7 @@ def seen_at_both_flanks(references: PhaseReferences, middle: float) -> None:
     references.released()
 
 
-def test_looks_at_both_flanks_tell_the_middle_and_how_sure_it_is() -> None:
+def test_measurements_at_both_flanks_tell_the_middle_and_how_sure_it_is() -> None:
     references = PhaseReferences(SHEET)
     seen_at_both_flanks(references, 0.8)
     assert offset(references) == pytest.approx(0.8, abs=0.02)
@@ -203,7 +206,7 @@ def test_looks_at_both_flanks_tell_the_middle_and_how_sure_it_is() -> None:
     assert references.source(GEAR) is ReferenceSource.MEASURED
 
 
-def test_a_reference_that_was_wrong_is_dropped_with_what_its_looks_told() -> None:
+def test_a_reference_that_was_wrong_is_dropped_with_what_its_looks_reported() -> None:
     """Of that gear alone."""
     references = PhaseReferences(SHEET)
     seen_at_both_flanks(references, 0.8)
@@ -222,7 +225,7 @@ def test_a_reference_that_was_wrong_is_dropped_with_what_its_looks_told() -> Non
 def test_where_a_wheel_s_count_is_lost_nothing_of_before_is_left() -> None:
     """Constants, sources, what was likely, what floated, what was seen, and the watch itself."""
     references = locked(1.0, straight=False)
-    look(references, *[0.3] * 20)
+    measurement(references, *[0.3] * 20)
     references.released()
     floats(references, -0.3, 0.1)
     references.adopt(OTHER, 0.01, ReferenceSource.RESTORED)
@@ -236,5 +239,5 @@ def test_where_a_wheel_s_count_is_lost_nothing_of_before_is_left() -> None:
     floats(references, 0.3, 0.6)
     assert references.offsets_rad == {}, "neither by what floated nor by what was seen"
     references.locked(OTHER, 1.0)
-    assert look(references, *[0.0] * 20, gear=OTHER) == 20
+    assert measurement(references, *[0.0] * 20, gear=OTHER) == 20
     assert set(references.offsets_rad) == {OTHER}, "nor by what was likely"

@@ -1,4 +1,4 @@
-"""The release's search in one kernel against the same course by course."""
+"""The release's search in one kernel against the same trajectory by trajectory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.plan_kernels import (
     CONTACT_SERIES,
     TERMS,
-    best_course,
+    best_trajectory,
     expected_least,
 )
 from meshpoint.controller.records import filled
@@ -24,7 +24,7 @@ FIRSTS_US = (60_000.0, 60_000.0, 61_000.0, 75_000.0, 90_000.0)
 
 
 def predictor() -> GearPredictor:
-    """With a brake that is on, has been, and is to be let go; valves that react off and on at
+    """With a brake that is on, has been, and is to be released; valves that react off and on at
     different times."""
     brake = BrakeInput(VALVE_US)
     brake.set_delays(VALVE_US, VALVE_US + 3_000)
@@ -36,7 +36,7 @@ def predictor() -> GearPredictor:
     )
 
 
-def test_the_courses_after_several_releases_are_those_after_each() -> None:
+def test_the_trajectories_after_several_releases_are_those_after_each() -> None:
     predicted = predictor()
     found = predicted.trajectories(RELEASES_US, FIRSTS_US, 1_700.0, 40)
     for release_us, first_us, (phase, slip) in zip(RELEASES_US, FIRSTS_US, found, strict=True):
@@ -46,7 +46,7 @@ def test_the_courses_after_several_releases_are_those_after_each() -> None:
 
 
 @pytest.mark.parametrize("spread_rad", [0.0, 0.01])
-def test_the_best_course_is_the_first_of_the_least_cost(spread_rad: float) -> None:
+def test_the_best_trajectory_is_the_first_of_the_least_cost(spread_rad: float) -> None:
     found = predictor().trajectories(RELEASES_US, FIRSTS_US, 1_700.0, 40)
     found = np.concatenate((found, found))
     waits_s = np.tile(1e-6 * np.array(FIRSTS_US), 2)
@@ -63,6 +63,6 @@ def test_the_best_course_is_the_first_of_the_least_cost(spread_rad: float) -> No
         if cost < least:
             least, expected = cost, (r, index)
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.7e-3)
-    best = best_course(found, variance, waits_s, contacts, terms, spread_rad)
+    best = best_trajectory(found, variance, waits_s, contacts, terms, spread_rad)
     assert best == (*expected, least)
     assert expected[0] < len(RELEASES_US)

@@ -28,7 +28,7 @@ from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
 
-class Told:
+class Reported:
     """A reporter beside a box; its frames are left as messages."""
 
     def __init__(self, box: Box) -> None:
@@ -65,25 +65,25 @@ class Told:
 
 def test_in_gear_the_truck_reads_its_gear_and_both_speeds() -> None:
     box = aimed(*UP[:2])
-    told = Told(box).step()
-    etc1 = told[ETC1]
+    reported = Reported(box).step()
+    etc1 = reported[ETC1]
     assert (etc1.driveline_engaged, etc1.shift_in_process) == (J1939Measured.YES, J1939Measured.NO)
     assert etc1.output_shaft_speed_rad_s == pytest.approx(box.propeller)
     assert etc1.input_shaft_speed_rad_s == pytest.approx(UP[1])
-    assert (told[ETC2].selected_gear, told[ETC2].current_gear) == (UP[0], UP[0])
-    assert told[ETC2].actual_ratio == SHEET.overall_ratio(DRIVE_GEARS[UP[0]])
-    assert ShiftPrediction not in told
-    assert ShiftOutcome not in told
+    assert (reported[ETC2].selected_gear, reported[ETC2].current_gear) == (UP[0], UP[0])
+    assert reported[ETC2].actual_ratio == SHEET.overall_ratio(DRIVE_GEARS[UP[0]])
+    assert ShiftPrediction not in reported
+    assert ShiftOutcome not in reported
 
 
 def test_during_a_shift_the_gear_asked_for_is_selected_and_none_is_in_between() -> None:
     box = aimed(*UP[:2])
-    told = Told(box)
-    told.frames()
+    reported = Reported(box)
+    reported.frames()
     box.ask(UP[2])
     predictions = outcomes = 0
     while box.running():
-        found = told.step()
+        found = reported.step()
         shifting = box.state is not State.IN_GEAR
         assert (found[ETC1].shift_in_process is J1939Measured.YES) is shifting
         assert found[ETC1].driveline_engaged is J1939Measured.NO
@@ -93,7 +93,7 @@ def test_during_a_shift_the_gear_asked_for_is_selected_and_none_is_in_between() 
         known = found[ETC1].output_shaft_speed_rad_s is not None
         assert known is (gear > 0)
         if box.sequence.shift is not None:
-            status = told.status()
+            status = reported.status()
             assert (status.target_gear, status.current_gear) == (UP[2], gear)
             assert status.state is box.state
             slip = found[ControllerEstimates].slip_rad_s
@@ -111,30 +111,30 @@ def test_during_a_shift_the_gear_asked_for_is_selected_and_none_is_in_between() 
 
 def test_neutral_is_gear_0_selected_and_in() -> None:
     box = aimed(*UP[:2])
-    told = Told(box)
+    reported = Reported(box)
     box.lost = FaultCode.POSITION_STALE
     box.position_m = dict.fromkeys(box.position_m, 0.0)
-    found = told.step()
+    found = reported.step()
     assert (found[ETC2].selected_gear, found[ETC2].current_gear) == (0, 0)
     assert found[ETC2].actual_ratio is None
-    status = told.status()
+    status = reported.status()
     assert (status.target_gear, status.current_gear) == (0, 0)
     assert found[ControllerEstimates].slip_rad_s == 0.0
     assert not found[ControllerEstimates].phase_known
 
 
-def test_the_gear_is_told_every_tenth_step() -> None:
-    told = Told(aimed(*UP[:2]))
+def test_the_gear_is_reported_every_tenth_step() -> None:
+    reported = Reported(aimed(*UP[:2]))
     for step in range(25):
-        assert (ETC2 in told.step()) is (step % ETC2_EVERY == 0)
-        told.status()
+        assert (ETC2 in reported.step()) is (step % ETC2_EVERY == 0)
+        reported.status()
 
 
 @pytest.mark.parametrize("missing", ["has_main", "has_layshaft"])
-def test_without_a_shaft_neither_slip_nor_phase_is_told(missing: str) -> None:
-    told = Told(aimed(*UP[:2]))
-    setattr(told, missing, False)
-    found = told.step()
+def test_without_a_shaft_neither_slip_nor_phase_is_reported(missing: str) -> None:
+    reported = Reported(aimed(*UP[:2]))
+    setattr(reported, missing, False)
+    found = reported.step()
     estimates = found[ControllerEstimates]
     assert (estimates.slip_rad_s, estimates.phase_known) == (0.0, False)
     assert (found[ETC1].output_shaft_speed_rad_s is None) is (missing == "has_main")
@@ -143,19 +143,19 @@ def test_without_a_shaft_neither_slip_nor_phase_is_told(missing: str) -> None:
 
 def test_the_phase_is_as_sure_as_both_shafts_and_the_reference() -> None:
     box = aimed(*UP[:2])
-    told = Told(box).step()[ControllerEstimates]
+    reported = Reported(box).step()[ControllerEstimates]
     main, layshaft = box.snapshot().main, box.snapshot().layshaft.latest()
     assert main is not None
     ratio = SHEET.main_mesh(MainGear.FIRST).ratio
     expected = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
-    assert told.phase_sd_rad == pytest.approx(expected)
+    assert reported.phase_sd_rad == pytest.approx(expected)
 
 
 def test_a_status_tells_of_its_step_and_of_the_one_before() -> None:
     box = aimed(*UP[:2])
-    told = Told(box)
-    told.step()
-    first = told.status(1_000, 7)
+    reported = Reported(box)
+    reported.step()
+    first = reported.status(1_000, 7)
     assert (first.step_number, first.step_time_us, first.previous_step_time_us) == (0, 1_000, 0)
     assert (first.consumed_count, first.consumed_crc) == (11, 0xABCD)
     assert (first.previous_consumed_count, first.previous_consumed_crc) == (0, 0)
@@ -164,15 +164,18 @@ def test_a_status_tells_of_its_step_and_of_the_one_before() -> None:
     assert first.foreign_frames == 70_000 & 0xFFFF
     assert first.invalid_channels == 9
     assert first.reference_known == 15
-    assert first.run_hash_low + (first.run_hash_high << 32) == told.header.run_hash
-    second = told.status(11_000, 90_000, 65_540)
+    assert first.run_hash_low + (first.run_hash_high << 32) == reported.header.run_hash
+    second = reported.status(11_000, 90_000, 65_540)
     assert (second.step_number, second.step_time_us) == (1, 11_000)
     assert second.previous_step_time_us == 1_000
     assert (second.previous_consumed_count, second.previous_consumed_crc) == (11, 0xABCD)
     assert second.step_lateness_us == 65_535, "as late as can be said"
     assert second.guard_blocks == 4
-    assert (second.active_fault, second.strategy) == (FaultCode.NONE, told.header.settings.strategy)
+    assert (second.active_fault, second.strategy) == (
+        FaultCode.NONE,
+        reported.header.settings.strategy,
+    )
     other = new_header("9.9.9", SHEET, ControllerSettings())
-    told.reporter.change_header(other)
-    third = told.status()
+    reported.reporter.change_header(other)
+    third = reported.status()
     assert third.run_hash_low + (third.run_hash_high << 32) == other.run_hash

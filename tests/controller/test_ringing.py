@@ -15,23 +15,23 @@ from meshpoint.gearbox import MainGear
 STEP_US = 10_000
 
 
-def look(rings: DrivelineRings, state: State, now_us: int, main_rad_s: float | None) -> None:
+def measurement(rings: DrivelineRings, state: State, now_us: int, main_rad_s: float | None) -> None:
     gear = MainGear.NEUTRAL if state is State.SYNCHRONISING else MainGear.FIRST
     snapshot: Any = SimpleNamespace(
         now_us=now_us,
         speeds=SimpleNamespace(main=main_rad_s),
         view=SimpleNamespace(main_gear=gear),
     )
-    rings.look(state, snapshot)
+    rings.measure(state, snapshot)
 
 
-def seen(swing_rad_s: float, looks: int = 20) -> bool:
+def seen(swing_rad_s: float, measurements: int = 20) -> bool:
     """A shift in which the shaft slows evenly, and swings with 8 Hz about that."""
     rings = DrivelineRings()
-    for step in range(looks):
+    for step in range(measurements):
         swing = swing_rad_s * math.sin(2.0 * math.pi * 8.0 * step * STEP_US * 1e-6)
-        look(rings, State.SYNCHRONISING, step * STEP_US, 60.0 - 0.04 * step + swing)
-    look(rings, State.ENGAGING, looks * STEP_US, 59.0)
+        measurement(rings, State.SYNCHRONISING, step * STEP_US, 60.0 - 0.04 * step + swing)
+    measurement(rings, State.ENGAGING, measurements * STEP_US, 59.0)
     return rings.twists
 
 
@@ -41,8 +41,8 @@ def test_a_swing_tells_shafts_that_twist(swing_rad_s: float, twists: bool) -> No
     assert seen(swing_rad_s) is twists
 
 
-def test_too_few_looks_tell_nothing() -> None:
-    assert not seen(5.0, looks=5)
+def test_too_few_measurements_tell_nothing() -> None:
+    assert not seen(5.0, measurements=5)
 
 
 def test_what_once_twisted_twists_for_good() -> None:
@@ -50,6 +50,6 @@ def test_what_once_twisted_twists_for_good() -> None:
     for shift, swing in enumerate((2.0, 0.0)):
         for step in range(10):
             speed = 60.0 + swing * (-1.0) ** step
-            look(rings, State.SYNCHRONISING, (20 * shift + step) * STEP_US, speed)
-        look(rings, State.ENGAGING, (20 * shift + 10) * STEP_US, 60.0)
+            measurement(rings, State.SYNCHRONISING, (20 * shift + step) * STEP_US, speed)
+        measurement(rings, State.ENGAGING, (20 * shift + 10) * STEP_US, 60.0)
     assert rings.twists

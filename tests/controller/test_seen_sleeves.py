@@ -75,7 +75,9 @@ def test_the_main_box_is_free_until_a_sleeve_might_rub_on_teeth(offset_mm: float
         assert view.main_box_free is free
 
 
-def test_the_oldest_of_the_sleeves_samples_is_told_and_a_sensor_that_says_so_is_faulty() -> None:
+def test_the_oldest_of_the_sleeves_samples_is_reported_and_a_sensor_that_says_so_is_faulty() -> (
+    None
+):
     view = GearboxView(SHEET)
     assert view.oldest_us == 0
     assert not view.complete

@@ -21,7 +21,7 @@ PITCHES_A_RAD = TEETH / (2.0 * math.pi)
 
 
 @dataclass
-class Course:
+class Trajectory:
     """A wheel's angle in pitches, piece by piece, and what its sensor sees of it."""
 
     at_s: float = 0.0
@@ -55,7 +55,7 @@ class Course:
 
 
 def watched(
-    course: Course,
+    trajectory: Trajectory,
     deaf_s: tuple[float, float] = (0.0, 0.0),
     blind: bool = False,
     first: int = 1,
@@ -69,10 +69,10 @@ def watched(
         before = [START_US - 100_000 * k for k in range(27, 0, -1)]
         return before + sorted({START_US + round(t * 1e6) for t in seen})
 
-    rise, fall = times(course.rise_s), times(course.fall_s)
+    rise, fall = times(trajectory.rise_s), times(trajectory.fall_s)
     wheel, clock = WheelEdges(TEETH, DUTY), SensorClockEstimate()
     ahead: list[int] = []
-    for read_us in range(START_US, START_US + round(course.at_s * 1e6), READ_US):
+    for read_us in range(START_US, START_US + round(trajectory.at_s * 1e6), READ_US):
         if not blind and deaf_s[0] < (read_us - START_US) * 1e-6 < deaf_s[1]:
             continue
         risen = EdgesMainRise(**capture(rise, first, read_us))
@@ -80,7 +80,7 @@ def watched(
         batch = wheel.read([risen], [fallen], clock, read_us)
         if batch.time_us.size:
             place = float(batch.tooth[-1]) + DUTY * float(batch.falling[-1])
-            now = round(place - course.true((float(batch.time_us[-1]) - START_US) * 1e-6))
+            now = round(place - trajectory.true((float(batch.time_us[-1]) - START_US) * 1e-6))
             if not ahead or len(ahead) <= wheel.broken:
                 ahead.append(now)
             assert ahead[-1] == now
@@ -104,17 +104,17 @@ def test_a_wheel_that_stopped_was_renumbered_by_no_more_than_it_was_counted(
 ) -> None:  # fmt: skip
     """However far it turned back while it was slow; and the bounds are as near as the edges of the
     stop allow: two for each, and some slack."""
-    course, rate, then = Course(), rpm * PITCHES_A_RPM, then_rpm * PITCHES_A_RPM
-    course.go(60.0, rate, rate)
-    course.go(rate**2 / (2.0 * braked_rad_s2 * PITCHES_A_RAD), rate, 0.0)
-    course.stand(stands_s)
+    trajectory, rate, then = Trajectory(), rpm * PITCHES_A_RPM, then_rpm * PITCHES_A_RPM
+    trajectory.go(60.0, rate, rate)
+    trajectory.go(rate**2 / (2.0 * braked_rad_s2 * PITCHES_A_RAD), rate, 0.0)
+    trajectory.stand(stands_s)
     if back > 0.1:
-        course.go(-back / 2.0, 0.0, 30.0)
-        course.go(-back / 2.0, 30.0, 0.0)
-        course.stand(0.1)
-    course.go(then**2 / (2.0 * driven_rad_s2 * PITCHES_A_RAD), 0.0, then)
-    course.go(30.0, then, then)
-    wheel, ahead = watched(course, first=first)
+        trajectory.go(-back / 2.0, 0.0, 30.0)
+        trajectory.go(-back / 2.0, 30.0, 0.0)
+        trajectory.stand(0.1)
+    trajectory.go(then**2 / (2.0 * driven_rad_s2 * PITCHES_A_RAD), 0.0, then)
+    trajectory.go(30.0, then, then)
+    wheel, ahead = watched(trajectory, first=first)
     assert wheel.broken >= 1
     renumbered = wheel.sensor.renumbered
     assert renumbered.uncounted == 0
@@ -131,9 +131,9 @@ def test_a_wheel_that_stopped_was_renumbered_by_no_more_than_it_was_counted(
 def test_lost_frames_of_a_wheel_that_had_no_time_to_stop_cost_no_tooth(
     rpm: float, deaf_s: float, first: int
 ) -> None:
-    course, rate = Course(), rpm * PITCHES_A_RPM
-    course.go(0.8 * rate, rate, rate)
-    wheel, ahead = watched(course, (0.2, 0.2 + deaf_s), first=first)
+    trajectory, rate = Trajectory(), rpm * PITCHES_A_RPM
+    trajectory.go(0.8 * rate, rate, rate)
+    wheel, ahead = watched(trajectory, (0.2, 0.2 + deaf_s), first=first)
     assert wheel.broken >= 1
     renumbered = wheel.sensor.renumbered
     assert renumbered.uncounted == 0
@@ -150,17 +150,17 @@ def test_lost_frames_of_a_wheel_that_stopped_and_turned_back_meanwhile_hide_no_t
     rpm: float, then_rpm: float, back: float, hard_rad_s2: float
 ) -> None:
     """As fast as a shaft can: the count then allows for two teeth an edge."""
-    course, rate, then = Course(), rpm * PITCHES_A_RPM, then_rpm * PITCHES_A_RPM
+    trajectory, rate, then = Trajectory(), rpm * PITCHES_A_RPM, then_rpm * PITCHES_A_RPM
     bend = hard_rad_s2 * PITCHES_A_RAD
-    course.go(60.0, rate, rate)
-    since_s = course.at_s - 0.02
-    course.go(rate**2 / (2.0 * bend), rate, 0.0)
-    course.go(-back / 2.0, 0.0, math.sqrt(bend * back))
-    course.go(-back / 2.0, math.sqrt(bend * back), 0.0)
-    course.go(then**2 / (2.0 * bend), 0.0, then)
-    until_s = course.at_s + 0.02
-    course.go(60.0, then, then)
-    wheel, ahead = watched(course, (since_s, until_s))
+    trajectory.go(60.0, rate, rate)
+    since_s = trajectory.at_s - 0.02
+    trajectory.go(rate**2 / (2.0 * bend), rate, 0.0)
+    trajectory.go(-back / 2.0, 0.0, math.sqrt(bend * back))
+    trajectory.go(-back / 2.0, math.sqrt(bend * back), 0.0)
+    trajectory.go(then**2 / (2.0 * bend), 0.0, then)
+    until_s = trajectory.at_s + 0.02
+    trajectory.go(60.0, then, then)
+    wheel, ahead = watched(trajectory, (since_s, until_s))
     renumbered = wheel.sensor.renumbered
     assert renumbered.uncounted == 0
     assert renumbered.least <= ahead[0] - ahead[-1] <= renumbered.most
@@ -168,9 +168,9 @@ def test_lost_frames_of_a_wheel_that_stopped_and_turned_back_meanwhile_hide_no_t
 
 @pytest.mark.parametrize("rpm", [400.0, 1400.0])
 def test_what_a_blind_sensor_has_not_counted_is_not_said(rpm: float) -> None:
-    course, rate = Course(), rpm * PITCHES_A_RPM
-    course.go(0.8 * rate, rate, rate)
-    wheel, ahead = watched(course, (0.2, 0.4), blind=True)
+    trajectory, rate = Trajectory(), rpm * PITCHES_A_RPM
+    trajectory.go(0.8 * rate, rate, rate)
+    wheel, ahead = watched(trajectory, (0.2, 0.4), blind=True)
     assert wheel.broken == 1
     assert ahead[0] != ahead[-1], "it would be wrong"
     assert wheel.sensor.renumbered.uncounted == 1
@@ -178,9 +178,9 @@ def test_what_a_blind_sensor_has_not_counted_is_not_said(rpm: float) -> None:
 
 def test_a_sensor_that_was_powered_up_anew_has_not_counted_on() -> None:
     """Its clock may go on where it was; that its frames are not full yet gives it away."""
-    course, rate = Course(), 1400.0 * PITCHES_A_RPM
-    course.go(0.8 * rate, rate, rate)
-    wheel, _ = watched(course)
+    trajectory, rate = Trajectory(), 1400.0 * PITCHES_A_RPM
+    trajectory.go(0.8 * rate, rate, rate)
+    wheel, _ = watched(trajectory)
     assert wheel.sensor.renumbered.uncounted == 0
     later_us = START_US + 900_000
     edges = [later_us - 9_000 + 950 * k for k in range(9)]
@@ -190,9 +190,9 @@ def test_a_sensor_that_was_powered_up_anew_has_not_counted_on() -> None:
 
 
 def test_too_long_without_frames_is_not_said_either() -> None:
-    course, rate = Course(), 1400.0 * PITCHES_A_RPM
-    course.go(6.5 * rate, rate, rate)
-    wheel, _ = watched(course, (0.3, 5.6))
+    trajectory, rate = Trajectory(), 1400.0 * PITCHES_A_RPM
+    trajectory.go(6.5 * rate, rate, rate)
+    wheel, _ = watched(trajectory, (0.3, 5.6))
     assert wheel.broken == 1
     assert wheel.sensor.renumbered.uncounted >= 1
 

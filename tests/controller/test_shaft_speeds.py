@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_told import SHEET, edge_frame
+from test_reported import SHEET, edge_frame
 
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs

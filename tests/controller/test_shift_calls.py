@@ -1,5 +1,5 @@
 """What the sequence does in the milliseconds about a sleeve's way: air for the brake as the old
-teeth part, a firing taken back, a clutch that closes as the overlap holds."""
+teeth part, a firing withdrawn, a clutch that closes as the overlap holds."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_the_clutch_closes_as_soon_as_the_overlap_holds_the_sleeve_where_the_pha
 
 
 @pytest.mark.parametrize("kick", [0.35, 0.5, -0.4])
-def test_a_sleeve_that_would_meet_a_tooth_is_called_back_before_it_moves(kick: float) -> None:
+def test_a_sleeve_that_would_meet_a_tooth_is_recalled_before_it_moves(kick: float) -> None:
     """The main shaft jerks just after the firing: the valve goes off before its delay is over, it
     is no attempt, and the next firing meets the gap."""
     met: list[float] = []
@@ -114,7 +114,7 @@ def test_a_sleeve_that_would_meet_a_tooth_is_called_back_before_it_moves(kick: f
     assert abs(met[0]) < 0.5 * SHEET.dog.backlash_rad
 
 
-def test_a_sleeve_that_is_on_its_way_is_not_called_back() -> None:
+def test_a_sleeve_that_is_on_its_way_is_not_recalled() -> None:
     box = going(State.ENGAGING)
     plan = box.sequence.running.plan
     assert plan is not None
@@ -180,19 +180,19 @@ def test_a_firing_not_yet_sent_for_good_is_taken_back_where_the_gap_went_away() 
 
 
 @pytest.mark.parametrize("way", [UP, DOWN])
-def test_what_carried_a_tooth_to_its_flank_is_told_with_the_slip_at_contact(
+def test_what_carried_a_tooth_to_its_flank_is_reported_with_the_slip_at_contact(
     way: tuple[int, float, int],
 ) -> None:
     """For the phase reference: a sleeve that went straight in, and the slip as it did; none where
     drag might have turned it round within the gap."""
-    box, told, slips = Box(*way[:2]), [], []
+    box, reported, slips = Box(*way[:2]), [], []
     gear = SHEET.main_mesh
     del gear
     target = MainGear.SECOND if way is UP else MainGear.FIRST
     box.face = lambda _: slips.append(box.slip(target)) or False  # type: ignore[func-returns-value]
-    box.references.locked = lambda *args: told.append(args)  # type: ignore[method-assign]
+    box.references.locked = lambda *args: reported.append(args)  # type: ignore[method-assign]
     box.ready().shift(way[2])
-    ((locked, slip, straight),) = told
+    ((locked, slip, straight),) = reported
     assert locked is target
     assert straight is True
     inertia = SHEET.inertia_kgm2(box.split)

@@ -99,7 +99,7 @@ def test_a_sleeve_is_fired_no_more_than_its_attempts(attempts: int) -> None:
     box.ask(OTHER_SLEEVE[2])
     while box.running():
         box.step()
-    assert box.course.count(State.ENGAGING) == attempts
+    assert box.trajectory.count(State.ENGAGING) == attempts
     assert box.records[0].attempts == attempts
     assert box.records[0].result is ShiftResult.ENDED_IN_NEUTRAL
 
@@ -226,4 +226,4 @@ def test_the_engine_is_asked_to_raise_the_gear_no_more_often_than_is_set(raises:
     record = box.records[0]
     assert record.raises == raises
     assert record.result is ShiftResult.ENDED_IN_NEUTRAL
-    assert box.course.count(State.SPEED_RAISING) == raises
+    assert box.trajectory.count(State.SPEED_RAISING) == raises

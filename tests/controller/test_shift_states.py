@@ -146,7 +146,7 @@ class Box:
         return self.state
 
     def _command(self) -> None:
-        """What each valve is told for the next 10 ms, as shares of a millisecond."""
+        """What each valve is reported for the next 10 ms, as shares of a millisecond."""
         for valve in ValveName:
             for ms in range(TICK_US // MS_US):
                 tenths = [self.now_us + MS_US * ms + 100 * k for k in range(10)]
@@ -245,7 +245,7 @@ class Box:
             split_turns_together=lambda split: self.split is split,
             range_turns_together=lambda range_: self.range is range_,
         )  # fmt: skip
-        told = tuple(
+        reported = tuple(
             valve not in self.refused
             and (self.board.command(valve).on or self.board.driven(valve, self.now_us))
             for valve in ValveName
@@ -253,7 +253,7 @@ class Box:
         values = {
             "now_us": self.now_us, "earliest_us": self.now_us + LEAD_US, "view": self.view,
             "layshaft": tracker, "main": main, "speeds": speeds, "lost": self.lost,
-            "driven": told, "supply_pa": self.supply_pa, "engine_rad_s": self.engine,
+            "driven": reported, "supply_pa": self.supply_pa, "engine_rad_s": self.engine,
             "engine_torque_share": round(self.torque, 2),
         }  # fmt: skip
         return StepSnapshot(**(values | other))
@@ -283,11 +283,11 @@ class Box:
 
     def running(self) -> bool:
         """Whether the shift asked for is under way; it has 5 s for it."""
-        assert len(self.seen) < 500, self.course
+        assert len(self.seen) < 500, self.trajectory
         return not self.records
 
     @property
-    def course(self) -> list[State]:
+    def trajectory(self) -> list[State]:
         """The states it went through, each once in a row."""
         states = [state for _, state in self.seen]
         return [s for k, s in enumerate(states) if k == 0 or s is not states[k - 1]]
@@ -317,7 +317,7 @@ WAYS: Final = {
 def test_a_shift_takes_its_way_and_ends_in_its_gear(way: tuple[int, float, int]) -> None:
     box = aimed(*way[:2])
     record = box.shift(way[2])
-    assert box.course == WAYS[way]
+    assert box.trajectory == WAYS[way]
     assert (record.result, record.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
     assert box.view.gear_number == way[2]
     assert (record.from_number, record.to_number) == (way[0], way[2])
@@ -448,7 +448,7 @@ def test_a_sleeve_that_meets_a_tooth_goes_back_and_is_fired_again_until_its_atte
         ended = ShiftResult.ENDED_IN_NEUTRAL if blocked == 3 else ShiftResult.ENGAGED
         fault = FaultCode.ENGAGE_FAILED if blocked == 3 else FaultCode.NONE
         assert (record.result, record.fault) == (ended, fault)
-        assert box.course.count(State.RETRACTING) == blocked
+        assert box.trajectory.count(State.RETRACTING) == blocked
 
 
 def rested(box: Box, left: list[int]) -> ShiftRecord:

@@ -40,7 +40,7 @@ def test_a_contact_that_cannot_be_of_this_sleeve_teaches_nothing() -> None:
 
 
 def test_less_air_makes_the_way_longer_but_not_the_valve() -> None:
-    """What was learned with four fifths of the pressure holds at that, and tells of the full one;
+    """What was learned with four fifths of the pressure holds at that, and says of the full one;
     without any air heard of, the sheet's is taken."""
     delays = SleeveDelays(SHEET)
     full_pa = SHEET.air.supply_gauge_pa

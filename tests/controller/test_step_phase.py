@@ -29,7 +29,7 @@ START_US = 1 << 33
 def steps(
     begin_us: int, cycle_us: int, first_us: int, last_us: int, jitter_us: int = 0, count: int = 600
 ) -> list[tuple[int, int | None]]:
-    """Sensor times of so many steps, each with the age of the newest read that was whole. Frames
+    """Sensor times of this many steps, each with the age of the newest read that was whole. Frames
     come `first_us` to `last_us` after their read, and late by up to a jitter."""
     phase, rng = StepPhase(TICK_US), np.random.default_rng(1)
     now_us, seen, found = START_US + begin_us, [0, 0], []
@@ -87,9 +87,9 @@ def inputs_of(*read_us: int) -> Any:
 
 
 def steps_after(late: tuple[int, ...], between_every: int, count: int) -> list[int]:
-    """Ages of the newest read at so many steps. A read's frames come after 800 us; the first reads
-    come as late as told, and every so many steps one between two ticks takes the frames of a read
-    before the tick does."""
+    """Ages of the newest read at this many steps. A read's frames come after 800 us; the first
+    reads come as late as reported, and every this many steps one between two ticks takes the frames
+    of a read before the tick does."""
     phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
     for k in range(count):
         came = []
@@ -115,7 +115,7 @@ def test_after_a_time_of_late_frames_steps_come_soon_again(between_every: int) -
 
 
 def test_a_machine_that_stood_still_does_not_make_steps_wait() -> None:
-    """What lay waiting then tells of the machine, not of the bus: red before."""
+    """What lay waiting then says of the machine, not of the bus: red before."""
     phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
     for k in range(400):
         came = []

@@ -17,7 +17,7 @@ from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.gear_predictor import GearPredictor, LastLook
+from meshpoint.controller.planning.gear_predictor import GearPredictor, LastMeasurement
 from meshpoint.controller.planning.strategies.table import STRATEGIES, make_strategy
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window
@@ -174,30 +174,30 @@ def test_no_sleeve_is_fired_while_its_gear_is_too_fast_in_every_contact_in_sight
         assert plan.slip_rad_s <= high
 
 
-class ToldSoon(GearPredictor):
-    """By which the phase is known to 0.1 degrees in so many microseconds, and until then to 2."""
+class ReportedSoon(GearPredictor):
+    """By which the phase is known to 0.1 degrees in this many microseconds, and until then to 2."""
 
-    told_us: float
+    reported_us: float
 
     def variances(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
     ) -> np.ndarray:
         del first_us, release_us
-        degrees = np.where(step_us * np.arange(count) < self.told_us - 1e-6, 2.0, 0.1)
+        degrees = np.where(step_us * np.arange(count) < self.reported_us - 1e-6, 2.0, 0.1)
         return np.asarray(np.radians(degrees) ** 2)
 
 
 @pytest.mark.parametrize(
-    ("told_ms", "valve_ms", "is_fired"),
+    ("reported_ms", "valve_ms", "is_fired"),
     [(20, 12, True), (30, 12, False), (30, 22, True), (20, 1, False)],
 )
-def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_told_in_time(
-    told_ms: int, valve_ms: int, is_fired: bool
+def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_reported_in_time(
+    reported_ms: int, valve_ms: int, is_fired: bool
 ) -> None:
     """The earliest contact is in the middle of a gap, with 20 rpm. It is fired in 18 ms, and until
     its valve's delay of 12 ms is over the sleeve has not moved: the step after 20 ms can still call
-    it back, with a valve of 22 ms the one after 30 ms. If the phase is told later, a later gap is
-    better."""
+    it back, with a valve of 22 ms the one after 30 ms. If the phase is reported later, a later gap
+    is better."""
     sheet = dataclasses.replace(
         SHEET, sleeve=dataclasses.replace(SHEET.sleeve, valve_delay_s=1e-3 * valve_ms)
     )
@@ -205,8 +205,8 @@ def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_told_in_time(
     at_zero, _ = predictor_at(20.0, references=learned(0.0)).phase_and_slip(first_us)
     usual = predictor_at(20.0, references=learned(-at_zero))
     values = {field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)}
-    predictor = ToldSoon(**values)
-    object.__setattr__(predictor, "told_us", 1000.0 * told_ms)
+    predictor = ReportedSoon(**values)
+    object.__setattr__(predictor, "reported_us", 1000.0 * reported_ms)
     chosen = ControllerSettings().with_strategy("target_phase")
     contact_us = make_strategy(sheet, chosen).contact(predictor, NOW_US, EARLIEST_US)
     assert contact_us is not None
@@ -215,12 +215,12 @@ def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_told_in_time(
 
 @given(ticks=st.integers(0, 8), share=st.floats(0.0, 0.999))
 def test_a_contact_is_as_uncertain_as_at_the_last_look_before_it(ticks: int, share: float) -> None:
-    """Looks come every 10 ms, the last one 36 to 46 ms before a contact; what they tell besides is
-    nothing here, so only the time from look to contact counts."""
-    predictor, look = predictor_at(20.0), LastLook(36_000.0, 10_000)
-    contact_us = NOW_US + look.before_us + 10_000.0 * (ticks + share)
-    found = predictor.told_variances(contact_us, 1.0, 1, NOW_US, look)
-    ahead_us = look.before_us + 10_000.0 * share
+    """Measurements come every 10 ms, the last one 36 to 46 ms before a contact; what they tell
+    besides is nothing here, so only the time from look to contact counts."""
+    predictor, measurement = predictor_at(20.0), LastMeasurement(36_000.0, 10_000)
+    contact_us = NOW_US + measurement.before_us + 10_000.0 * (ticks + share)
+    found = predictor.reported_variances(contact_us, 1.0, 1, NOW_US, measurement)
+    ahead_us = measurement.before_us + 10_000.0 * share
     assert found[0] == pytest.approx(predictor.estimate_variance(NOW_US + ahead_us), rel=0.01)
 
 
@@ -336,7 +336,7 @@ def sleeve_on_its_way(phase_deg: float, slip_rpm: float) -> tuple[GearPredictor,
 
 
 @pytest.mark.parametrize("phase_deg", [-0.2, 0.0, 0.2])
-def test_a_sleeve_that_will_meet_the_gap_is_not_called_back(phase_deg: float) -> None:
+def test_a_sleeve_that_will_meet_the_gap_is_not_recalled(phase_deg: float) -> None:
     predictor, contact_us = sleeve_on_its_way(phase_deg, 20.0)
     phase, _ = predictor.phase_and_slip(contact_us)
     assert math.degrees(phase) == pytest.approx(phase_deg, abs=1e-9)
@@ -345,7 +345,7 @@ def test_a_sleeve_that_will_meet_the_gap_is_not_called_back(phase_deg: float) ->
 
 
 @pytest.mark.parametrize("phase_deg", [-2.0, 1.5, 3.5])
-def test_a_sleeve_that_will_meet_a_tooth_is_called_back_for_a_gap_within_reach(
+def test_a_sleeve_that_will_meet_a_tooth_is_recalled_for_a_gap_within_reach(
     phase_deg: float,
 ) -> None:
     predictor, contact_us = sleeve_on_its_way(phase_deg, 20.0)

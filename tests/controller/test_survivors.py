@@ -34,17 +34,17 @@ SHEET, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
 
 
 @pytest.mark.parametrize("drift_rad_s", [-0.4, 0.3])
-def test_the_course_drifts_as_the_single_prediction_does(drift_rad_s: float) -> None:
-    """A learned drift moves the phases of a whole course as it moves each of them alone."""
+def test_the_trajectory_drifts_as_the_single_prediction_does(drift_rad_s: float) -> None:
+    """A learned drift moves the phases of a whole trajectory as it moves each of them alone."""
     layshaft = LayshaftState(0.0, 1.0, (MAIN.omega_rad_s + 3.0) / RATIO, 0.0, 1e-3, 0.05, 1e3)
     predictor = GearPredictor(
         GEAR, RATIO, layshaft, MAIN, BrakeInput(VALVE_US), MOTION, learned(0.2), DELAY_US, 1e-3,
         drift_rad_s, 1.0,
     )  # fmt: skip
-    course = predictor.trajectory(60_000.0, 5_000.0, 20)
+    trajectory = predictor.trajectory(60_000.0, 5_000.0, 20)
     alone = [predictor.phase_and_slip(60_000.0 + 5_000.0 * k) for k in range(20)]
-    assert course.phase_rad == pytest.approx([phase for phase, _ in alone], abs=1e-6)
-    assert course.slip_rad_s == pytest.approx([slip for _, slip in alone], abs=1e-6)
+    assert trajectory.phase_rad == pytest.approx([phase for phase, _ in alone], abs=1e-6)
+    assert trajectory.slip_rad_s == pytest.approx([slip for _, slip in alone], abs=1e-6)
 
 
 def test_the_price_of_energy_is_that_of_the_layshafts_energy() -> None:
@@ -73,9 +73,9 @@ def test_two_engagements_some_teeth_apart_bound_the_same_gap() -> None:
     half_gap = SHEET.dog.backlash_rad / 2.0
     for tooth, low, high in ((3, -1.0, 0.2), (8, 0.0, 1.0)):
         references.locked(gear, 0.0, straight=False)
-        for look in range(32):
-            swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * look)
-            at_ms = 7.0 + 0.6 * look
+        for measurement in range(32):
+            swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * measurement)
+            at_ms = 7.0 + 0.6 * measurement
             layshaft = box.layshaft_at_phase(swing * half_gap, at_ms, tooth)
             assert not references.watch(gear, layshaft, at_ms)
         references.released()

@@ -1,4 +1,4 @@
-"""What a ramp tells of shafts and vehicle: a row of frequencies, each fitted by NumPy's least
+"""What a ramp says of shafts and vehicle: a row of frequencies, each fitted by NumPy's least
 squares to integrals by quadrature, weighed by Bayes' rule."""
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from meshpoint.controller.shift.swing_fit import (
     FREQUENCIES,
     LEAST_SPEED_SD,
     REACH_SD,
-    EngineCourse,
+    EngineTrajectory,
     Known,
     fit_swing,
 )
@@ -22,19 +22,19 @@ ENGINE, RATIO = 400.0, 2.5
 KNOWN = Known(16_000.0, 0.17, 1.0 / 900.0, 3e-4)
 
 
-def course(error: float, seed: int = 7) -> EngineCourse:
+def trajectory(error: float, seed: int = 7) -> EngineTrajectory:
     """Steps of time and torque that are not even; speeds off by as much beside a swing."""
     rng = np.random.default_rng(seed)
     time_s = 3.0 + np.cumsum(rng.uniform(8e-3, 12e-3, 40))
     torque = 900.0 + np.cumsum(rng.normal(0.0, 120.0, 40))
     swing = 0.2 * np.sin(7.0 * time_s) + rng.normal(0.0, error, 40)
-    return EngineCourse(time_s, 11.0 + 0.3 * (time_s - 3.0) + swing, torque)
+    return EngineTrajectory(time_s, 11.0 + 0.3 * (time_s - 3.0) + swing, torque)
 
 
-def fits(seen: EngineCourse, omegas: np.ndarray, sd: float) -> np.ndarray:
-    """Misfit, acceleration, y = 1 / (J1 + J2) and its deviation for each frequency, what is known
-    of the vehicle as one more equation. Between two looks a torque beyond the first acts as one
-    impulse in their middle: its integral, and that of it times cos w(t - s)."""
+def fits(seen: EngineTrajectory, omegas: np.ndarray, sd: float) -> np.ndarray:
+    """Deviance, acceleration, y = 1 / (J1 + J2) and its deviation for each frequency, what is known
+    of the vehicle as one more equation. Between two measurements a torque beyond the first acts as
+    one impulse in their middle: its integral, and that of it times cos w(t - s)."""
     t, pull = seen.time_s - seen.time_s[0], seen.torque_nm - seen.torque_nm[0]
     impulse, middle = 0.5 * (pull[1:] + pull[:-1]) * np.diff(t), 0.5 * (t[1:] + t[:-1])
     before = middle < t[:, np.newaxis]
@@ -61,7 +61,7 @@ def test_frequencies_weigh_by_how_well_they_explain_the_speeds(error: float) -> 
     """Of w^2 = k (1 / J1 + 1 / J2), two deviations to either side. Errors are as large as the best
     fit says and last for four looks. The stiffness is what was known of it and what was seen, each
     by its weight."""
-    seen = course(error)
+    seen = trajectory(error)
     inverse = 1.0 / ENGINE + KNOWN.vehicle_inverse
     reach = REACH_SD * math.hypot(KNOWN.stiffness_sd, KNOWN.vehicle_sd / inverse)
     logs = np.linspace(-reach, reach, FREQUENCIES)
@@ -69,8 +69,8 @@ def test_frequencies_weigh_by_how_well_they_explain_the_speeds(error: float) -> 
     sd = LEAST_SPEED_SD / RATIO
     least = fits(seen, omegas, sd)[0].min()
     sd *= math.sqrt(CORRELATED * max(1.0, least / seen.time_s.size))
-    misfits, accelerations, ys, y_sds = fits(seen, omegas, sd)
-    weights = np.exp(-0.5 * (misfits - misfits.min()))
+    deviances, accelerations, ys, y_sds = fits(seen, omegas, sd)
+    weights = np.exp(-0.5 * (deviances - deviances.min()))
     weights /= weights.sum()
     log, y = weights @ logs, weights @ ys
     within = (logs[1] - logs[0]) ** 2 / 12.0

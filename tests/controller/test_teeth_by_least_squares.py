@@ -17,8 +17,8 @@ from meshpoint.controller.settings import CrossingFilterTuning
 TEETH, EDGES = 12, 24
 TUNING = CrossingFilterTuning()
 UNLEARNED_RAD = TUNING.tooth_error_rad
-LOOK_RAD = 0.1 * UNLEARNED_RAD
-"""Of one look at an edge."""
+MEASUREMENT_RAD = 0.1 * UNLEARNED_RAD
+"""Of one measurement at an edge."""
 
 
 def pattern(seed: int) -> Vector:
@@ -27,13 +27,13 @@ def pattern(seed: int) -> Vector:
 
 
 def window(
-    errors: Vector, looks: float | Vector = 20.0, squares_share: float = 1.0
+    errors: Vector, measurements: float | Vector = 20.0, squares_share: float = 1.0
 ) -> PatternEquations:
-    """Looks at each edge, the wheel's mean not to be seen in them; squared residuals about these
-    errors as many times the expected as is said."""
-    weights = np.broadcast_to(np.asarray(looks, float), errors.size) / LOOK_RAD**2
+    """Measurements at each edge, the wheel's mean not to be seen in them; squared residuals about
+    these errors as many times the expected as is said."""
+    weights = np.broadcast_to(np.asarray(measurements, float), errors.size) / MEASUREMENT_RAD**2
     normal = np.diag(weights) - np.outer(weights, weights) / weights.sum()
-    right, count = normal @ errors, float(weights.sum() * LOOK_RAD**2)
+    right, count = normal @ errors, float(weights.sum() * MEASUREMENT_RAD**2)
     return PatternEquations(normal, right, squares_share * count + float(errors @ right), count)
 
 
@@ -57,8 +57,9 @@ def a_wheel(*windows: PatternEquations) -> WheelTeeth:
 
 
 def test_teeth_are_those_of_least_squares_over_all_windows_the_old_counting_a_little_less() -> None:
-    looks = np.linspace(1.0, 8.0, EDGES)
-    windows = [window(pattern(1), looks), window(pattern(1) + 1e-2 * pattern(2), looks[::-1]),
+    measurements = np.linspace(1.0, 8.0, EDGES)
+    windows = [window(pattern(1), measurements), window(pattern(1) + 1e-2 * pattern(2),
+    measurements[::-1]),
                window(pattern(1), 2.0)]  # fmt: skip
     teeth = a_wheel(*windows)
     errors, sd_rad, _ = least_squares(*windows)
@@ -73,13 +74,15 @@ def test_teeth_are_those_of_least_squares_over_all_windows_the_old_counting_a_li
 def test_teeth_are_used_once_the_least_sure_is_surer_than_an_unlearned_one_by_a_fifth(
     share: float, used: bool
 ) -> None:
-    looks = np.full(EDGES, 40.0)
-    looks[5] = 0.04
+    measurements = np.full(EDGES, 40.0)
+    measurements[5] = 0.04
     for _ in range(60):
-        looks[5] *= (least_squares(window(pattern(1), looks))[2] / (0.8 * UNLEARNED_RAD)) ** 2
-    looks[5] *= share
+        measurements[5] *= (
+            least_squares(window(pattern(1), measurements))[2] / (0.8 * UNLEARNED_RAD)
+        ) ** 2
+    measurements[5] *= share
     teeth = WheelTeeth(TEETH, TUNING)
-    line = teeth.take(window(pattern(1), looks))
+    line = teeth.take(window(pattern(1), measurements))
     assert teeth.learned is used
     assert (f"teeth learned to {math.degrees(teeth.sd_rad):.3f} deg" == line) is used
     assert teeth.error_rad.any() == used
@@ -92,10 +95,10 @@ def test_teeth_are_used_once_the_least_sure_is_surer_than_an_unlearned_one_by_a_
 def test_teeth_that_the_drawing_leaves_out_need_not_be_seen(
     missing: tuple[int, ...], unseen: tuple[int, ...], learned: bool
 ) -> None:
-    looks = np.full(90, 30.0)
-    looks[list(unseen)] = 0.0
+    measurements = np.full(90, 30.0)
+    measurements[list(unseen)] = 0.0
     teeth = WheelTeeth(45, TUNING, missing)
-    teeth.take(window(np.zeros(90), looks))
+    teeth.take(window(np.zeros(90), measurements))
     assert teeth.learned is learned
 
 
@@ -153,14 +156,15 @@ def test_numbers_that_are_lost_leave_the_pattern_and_it_is_found_again() -> None
     ("remembered", "seen", "said"),
     [(pattern(1), pattern(5), ["do not agree", "not those that were remembered"]),
      # Of a wheel like an ideal one every turn fits.
-     (np.zeros(EDGES), np.zeros(EDGES), ["learned", "None", "cannot be told apart"])],
+     (np.zeros(EDGES), np.zeros(EDGES), ["learned", "None", "cannot be determined apart"])],
 )  # fmt: skip
 def test_a_remembered_pattern_that_is_not_recognised_is_dropped(
     remembered: Vector, seen: Vector, said: list[str]
 ) -> None:
-    """Another wheel's after two windows, one that cannot be told from itself turned after three."""
+    """Another wheel's after two windows, one that cannot be distinguished from itself turned after
+    three."""
     teeth = WheelTeeth(TEETH, TUNING)
-    teeth.memory = ToothPattern(remembered, LOOK_RAD / 10.0, 500)
+    teeth.memory = ToothPattern(remembered, MEASUREMENT_RAD / 10.0, 500)
     for each in said:
         assert teeth.memory is not None
         assert each in str(teeth.take(window(seen)))

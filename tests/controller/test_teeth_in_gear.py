@@ -108,7 +108,7 @@ def test_a_stretch_with_edges_missing_teaches_nothing() -> None:
 
 def test_teeth_are_known_after_the_first_shifts_of_a_gearbox_with_a_sensor_of_20_us() -> None:
     """This gearbox's wheels were never learned from its windows in neutral: a jitter twice as large
-    as was thought made each look like a motion that the model does not have."""
+    as was thought made each measurement like a motion that the model does not have."""
     truck12 = load_sheet("truck12")
     drawn = draw(1_900_000_007, truck12, Preset.TRUCK, upshifts(), 2, {}, Profile.TYPICAL)
     loop = ClosedLoop(truck12, ControllerSettings(), Preset.TRUCK, drawn)

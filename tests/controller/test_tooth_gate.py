@@ -38,7 +38,7 @@ class Seen:
         wheel, clock = Wheel(0, rise, fall), SensorClockEstimate()
         self.edges = WheelEdges(TEETH, DUTY, missing, MOST_RAD_S2)
         self.rising: dict[int, int] = {}
-        """Teeth by the times of their rising edges, told from the odd one's."""
+        """Teeth by the times of their rising edges, distinguished from the odd one's."""
         self.extra_us: list[int] = []
         for read_us in range(BEGIN_US + 50_000, BEGIN_US + 395 * tooth_us, 10_000):
             batch = self.edges.read([wheel.rise(read_us)], [wheel.fall(read_us)], clock, read_us)
@@ -68,7 +68,7 @@ def test_an_edge_is_its_tooth_s_up_to_four_tenths_of_a_pitch_from_where_it_is_du
 
 
 @pytest.mark.parametrize("extra_us", [100, 260, 500, 740, 900])
-def test_an_edge_between_two_teeth_is_told_as_extra_and_costs_none(extra_us: int) -> None:
+def test_an_edge_between_two_teeth_is_reported_as_extra_and_costs_none(extra_us: int) -> None:
     seen = Seen(besides_us=[extra_us])
     assert (seen.extra_us, seen.counts) == ([extra_us], (1, 0, 0))
     assert [seen.rising[TOOTH_US * k] for k in range(-2, 3)] == [ODD + k for k in range(-2, 3)]

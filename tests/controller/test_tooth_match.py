@@ -20,7 +20,7 @@ from meshpoint.units import DEG
 TURN = 2.0 * math.pi
 TEETH = 45
 EDGE_SD = 0.05 * DEG
-"""Of one look at an edge."""
+"""Of one measurement at an edge."""
 FREE_SD = 2.0 * DEG
 
 
@@ -29,25 +29,29 @@ def pattern(rng: np.random.Generator, sd_rad: float = 0.06 * DEG) -> np.ndarray:
     return errors - errors.mean()
 
 
-def seen(rng: np.random.Generator, errors: np.ndarray, looks: int) -> PatternEquations:
-    """Equations of so many looks at each edge, the mean error not to be seen in them."""
-    weight = looks / EDGE_SD**2
+def seen(rng: np.random.Generator, errors: np.ndarray, measurements: int) -> PatternEquations:
+    """Equations of this many measurements at each edge, the mean error not to be seen in them."""
+    weight = measurements / EDGE_SD**2
     normal = weight * (np.eye(2 * TEETH) - np.full((2 * TEETH, 2 * TEETH), 0.5 / TEETH))
-    means = errors + rng.normal(0.0, EDGE_SD / math.sqrt(looks), 2 * TEETH)
+    means = errors + rng.normal(0.0, EDGE_SD / math.sqrt(measurements), 2 * TEETH)
     right = normal @ means
-    scatter = (2 * TEETH) * (looks - 1)
-    return PatternEquations(normal, right, scatter + float(means @ right), 2.0 * TEETH * looks)
+    scatter = (2 * TEETH) * (measurements - 1)
+    return PatternEquations(
+        normal, right, scatter + float(means @ right), 2.0 * TEETH * measurements
+    )
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1 << 30), teeth=st.integers(0, TEETH - 1), looks=st.integers(2, 10))
+@given(
+    seed=st.integers(0, 1 << 30), teeth=st.integers(0, TEETH - 1), measurements=st.integers(2, 10)
+)
 def test_a_pattern_is_found_at_whatever_tooth_the_count_begins(
-    seed: int, teeth: int, looks: int
+    seed: int, teeth: int, measurements: int
 ) -> None:
     rng = np.random.default_rng(seed)
     errors = pattern(rng)
     memory = ToothPattern(errors, 0.01 * DEG, 5000)
-    verdict = compare(memory, seen(rng, turned(errors, teeth), looks), FREE_SD, False)
+    verdict = compare(memory, seen(rng, turned(errors, teeth), measurements), FREE_SD, False)
     assert verdict is not None
     assert not verdict.stranger
     assert verdict.certain
@@ -55,26 +59,26 @@ def test_a_pattern_is_found_at_whatever_tooth_the_count_begins(
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
-def test_a_wheel_without_a_pattern_is_never_certain(seed: int, looks: int) -> None:
+@given(seed=st.integers(0, 1 << 30), measurements=st.integers(2, 10))
+def test_a_wheel_without_a_pattern_is_never_certain(seed: int, measurements: int) -> None:
     """What was learned of an ideal wheel is noise, and so is what is seen of it."""
     rng = np.random.default_rng(seed)
     memory = ToothPattern(pattern(rng, 0.01 * DEG), 0.01 * DEG, 5000)
-    verdict = compare(memory, seen(rng, np.zeros(2 * TEETH), looks), FREE_SD, False)
+    verdict = compare(memory, seen(rng, np.zeros(2 * TEETH), measurements), FREE_SD, False)
     assert verdict is not None
     assert not verdict.certain
     assert not verdict.stranger
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
-def test_another_wheel_is_never_taken_for_the_remembered_one(seed: int, looks: int) -> None:
+@given(seed=st.integers(0, 1 << 30), measurements=st.integers(2, 10))
+def test_another_wheel_is_never_taken_for_the_remembered_one(seed: int, measurements: int) -> None:
     rng = np.random.default_rng(seed)
     memory = ToothPattern(pattern(rng), 0.01 * DEG, 5000)
-    verdict = compare(memory, seen(rng, pattern(rng), looks), FREE_SD, False)
+    verdict = compare(memory, seen(rng, pattern(rng), measurements), FREE_SD, False)
     assert verdict is not None
     assert not verdict.certain
-    assert verdict.stranger or looks < 4
+    assert verdict.stranger or measurements < 4
 
 
 def test_less_than_two_turns_of_the_wheel_say_nothing() -> None:

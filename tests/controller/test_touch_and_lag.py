@@ -1,4 +1,5 @@
-"""Touch pressure and sensor lag are told together, by a misfit that may have a long valley."""
+"""Touch pressure and sensor lag are reported together, by a deviance that may have a long
+valley."""
 
 from __future__ import annotations
 
@@ -23,11 +24,11 @@ FIRST = uncorrelated((0.2e5, 0.15e5), (2e-3, 3e-3))
 
 
 def bowl(middle: np.ndarray, curvature: np.ndarray) -> Callable[[float, float], float]:
-    def misfit(touch_pa: float, lag_s: float) -> float:
+    def deviance(touch_pa: float, lag_s: float) -> float:
         off = np.array([touch_pa, lag_s]) - middle
         return float(300.0 + 0.5 * off @ curvature @ off)
 
-    return misfit
+    return deviance
 
 
 @given(
@@ -39,21 +40,22 @@ def bowl(middle: np.ndarray, curvature: np.ndarray) -> Callable[[float, float], 
 def test_a_paraboloid_and_what_was_known_have_the_minimum_of_their_sum(
     touch_pa: float, lag_s: float, sharp: tuple[float, float], tilt: float
 ) -> None:
-    """Bayes' rule for normal laws; the misfit's information is divided by the square of caution."""
+    """Bayes' rule for normal laws; the deviance's information is divided by the square of
+    caution."""
     scale = np.sqrt(sharp) / PROBE
     curvature = np.outer(scale, scale) * [[1.0, tilt], [tilt, 1.0]]
     middle = np.array([touch_pa, lag_s])
     found = best_of(bowl(middle, curvature), FIRST)
     prior = np.linalg.inv(FIRST.covariance + np.diag(DRIFT_SD**2))
-    told = curvature / (2.0 * CAUTION**2)
-    wanted = np.linalg.solve(prior + told, prior @ FIRST.mean + told @ middle)
+    reported = curvature / (2.0 * CAUTION**2)
+    wanted = np.linalg.solve(prior + reported, prior @ FIRST.mean + reported @ middle)
     # What would be a negative lag or touch is none.
     assert found.mean == pytest.approx(np.maximum(wanted, 0.0), rel=1e-3, abs=1e-6)
-    assert found.covariance == pytest.approx(np.linalg.inv(prior + told), rel=1e-3)
+    assert found.covariance == pytest.approx(np.linalg.inv(prior + reported), rel=1e-3)
 
 
 def test_along_a_valley_nothing_is_learned_and_both_figures_stay_tied() -> None:
-    """Touch + 0.1 bar a millisecond of lag is told alone: its spread falls, no other does."""
+    """Touch + 0.1 bar a millisecond of lag is reported alone: its spread falls, no other does."""
     across = np.array([1.0 / 0.1e5, 1.0 / 1e-3])
     curvature = 50.0 * np.outer(across, across)
     found = best_of(bowl(np.array([0.3e5, 1e-3]), curvature), FIRST)
@@ -67,7 +69,7 @@ def test_along_a_valley_nothing_is_learned_and_both_figures_stay_tied() -> None:
     assert correlation < -0.9
 
 
-def test_a_lag_that_is_known_for_certain_stays_and_the_touch_is_still_told() -> None:
+def test_a_lag_that_is_known_for_certain_stays_and_the_touch_is_still_reported() -> None:
     known = uncorrelated((0.2e5, 0.15e5), (0.0, 0.0))
     found = best_of(bowl(np.array([0.3e5, 3e-3]), np.diag(400.0 / PROBE**2)), known)
     assert (found.mean[1], found.sd[1]) == (0.0, 0.0)
@@ -88,7 +90,7 @@ def test_a_minimum_far_off_is_gone_towards_and_not_believed() -> None:
     assert found.sd[1] > 3e-3
 
 
-def test_a_misfit_that_is_no_number_leaves_what_was_known() -> None:
+def test_a_deviance_that_is_no_number_leaves_what_was_known() -> None:
     found = best_of(lambda touch_pa, lag_s: float("nan"), FIRST)
     assert found.mean == pytest.approx(FIRST.mean)
     assert (found.sd >= FIRST.sd).all()

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.shift.swing_fit import EngineCourse, Known, fit_swing
+from meshpoint.controller.shift.swing_fit import EngineTrajectory, Known, fit_swing
 from meshpoint.controller.shift.unloading import (
     SHAPES,
     GearedBodies,
@@ -26,7 +26,7 @@ PARTS = 10
 STIFFNESS, VEHICLE = 16_000.0, 900.0
 KNOWN = Known(STIFFNESS, 0.17, 1.0 / VEHICLE, 3e-4)
 READ_NM = 7.2
-"""Error of a torque that is told in whole per cent."""
+"""Error of a torque that is reported in whole per cent."""
 ROAD_NM = 1_500.0
 
 
@@ -110,7 +110,7 @@ def test_at_rest_the_shafts_carry_nothing(gear: int) -> None:
     )
 
 
-def test_what_cannot_be_told_from_none_is_left() -> None:
+def test_what_cannot_be_reported_from_none_is_left() -> None:
     bodies = bodies_of(1)
     (ramp,) = unloading(SHEET, bodies, Loaded(4.0, 100.0, -0.1, READ_NM), 0)
     assert (ramp.torque_nm, ramp.over_us) == (4.0, 0)
@@ -147,8 +147,8 @@ def test_a_ramp_tells_shafts_and_vehicle(stiffness: float, vehicle: float) -> No
     for share in (0.25, 0.75):
         torque += [ramp.own_nm * (1.0 - 1.3 * share)] * 50
     omega = np.array([body.run(nm) for nm in torque]) + errors
-    course = EngineCourse(STEP_S * np.arange(200.0), omega, body.ratio * np.array(torque))
-    found, acceleration = fit_swing(course, body.ratio, body.engine, KNOWN)
+    trajectory = EngineTrajectory(STEP_S * np.arange(200.0), omega, body.ratio * np.array(torque))
+    found, acceleration = fit_swing(trajectory, body.ratio, body.engine, KNOWN)
     assert found.stiffness_nm_rad == pytest.approx(stiffness, rel=0.1)
     assert 1.0 / found.vehicle_inverse == pytest.approx(vehicle, rel=0.1)
     assert acceleration == pytest.approx(0.0, abs=0.03)

@@ -78,7 +78,7 @@ def test_a_release_long_past_carries_no_time_that_could_be_taken_for_the_future(
         assert board.message(T0 + later_us).brake_action is ValveAction.OFF_NOW
 
 
-def test_hardware_that_cannot_schedule_is_told_at_the_moment() -> None:
+def test_hardware_that_cannot_schedule_is_reported_at_the_moment() -> None:
     board = immediate()
     board.schedule(ValveName.MAIN_FIRST, True, T0 + 20_000, T0)
     board.schedule(ValveName.BRAKE, True, T0 + 7_000, T0)
@@ -100,9 +100,9 @@ def test_of_two_offs_each_loses_its_time_by_itself_after_a_second_and_an_on_neve
     said = {0: (off_at, off_at), 1: (off_now, off_at), 400_000: (off_now, off_at),
             400_001: (off_now, off_now)}  # fmt: skip
     for after_us, offs in said.items():
-        told = board.message(T0 + second_us + after_us)
-        assert (told.brake_action, told.main_third_action) == offs
-        assert told.main_first_action is ValveAction.ON_AT
+        reported = board.message(T0 + second_us + after_us)
+        assert (reported.brake_action, reported.main_third_action) == offs
+        assert reported.main_first_action is ValveAction.ON_AT
 
 
 def test_a_valve_that_was_never_on_is_off_without_a_time_from_the_clocks_begin_on() -> None:
@@ -130,8 +130,8 @@ def test_a_valve_is_driven_or_about_to_be_as_the_valve_side_tells_it() -> None:
     for kind in ("_energised", "_pending"):
         names = [name for name in ValveStatus._fields if name.endswith(kind)]
         for name, valve in zip(names, ValveName, strict=True):
-            told = driven_or_pending(ValveStatus()._replace(**{name: True}))
-            assert told == tuple(each is valve for each in ValveName)
+            reported = driven_or_pending(ValveStatus()._replace(**{name: True}))
+            assert reported == tuple(each is valve for each in ValveName)
 
 
 COMMANDS = st.lists(

@@ -89,10 +89,12 @@ class Box:
         run = FreeRun(TUNING)
         run.begin(0.0, np.array([0.0, START_RAD_S, 0.0, 0.0, 1.0, drag_nm / inertia]), p)
         run.add(*taken(runs))
-        self.friction = run.learn_friction(self.friction, self.steady_rad_s, *self.told(SWITCHES))
+        self.friction = run.learn_friction(
+            self.friction, self.steady_rad_s, *self.reported(SWITCHES)
+        )
         self.steady_rad_s = float(runs.state[-1, 0, 1])
 
-    def told(self, switches: Vector) -> tuple[BrakeModel, FreeMotion]:
+    def reported(self, switches: Vector) -> tuple[BrakeModel, FreeMotion]:
         """What is believed of brake and motion."""
         friction_nms = self.friction.value
         model = free_motion(self.sheet, Split.HIGH, law_array(), TUNING, None, friction_nms)
@@ -130,6 +132,6 @@ def test_a_moment_of_coasting_tells_no_friction(sheet: GearboxSheet) -> None:
     run = FreeRun(TUNING)
     run.begin(0.0, start[0], diagonal(1e-3, 0.5, 1.0, 1.0, 1e-6, TUNING.drag_sd_nm / box.inertia))
     run.add(*taken(runs))
-    found = run.learn_friction(known, START_RAD_S, *box.told(np.array([never, never])))
+    found = run.learn_friction(known, START_RAD_S, *box.reported(np.array([never, never])))
     assert found.sd > 0.9 * known.sd
     assert abs(found.log - known.log) < 0.2 * known.sd

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from devices import CTU, KVASER, SerialAdapter, hurry, queue_counts, slow
 from patience import until
-from vcan_bench import LOOK_S, SPEED, Bench, Command, Wire, ip, meshpoint
+from vcan_bench import MEASUREMENT_S, SPEED, Bench, Command, Wire, ip, meshpoint
 
 from meshpoint.testbench.table import build_parser
 
@@ -27,7 +27,7 @@ CONGESTED_BIT_S = 1_000
 """By the guest's clock: a frame in half a second, which is less than the controller sends however
 slow the machine makes bus time, as that goes on while frames are refused."""
 LOST_FRAMES = 30
-"""So many are enough to be seen, and too few for an 8-bit counter to come round."""
+"""This many are enough to be seen, and too few for an 8-bit counter to come round."""
 
 
 @pytest.fixture
@@ -42,19 +42,21 @@ over = pytest.mark.parametrize
 
 
 def link(device: str) -> dict[str, Any]:
-    """What `ip` tells of a device."""
+    """What `ip` says of a device."""
     words = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", device]
-    told = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-    return dict(next(entry for entry in json.loads(told) if entry))
+    reported = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    return dict(next(entry for entry in json.loads(reported) if entry))
 
 
 def no_errors(wire: Wire) -> None:
     """Neither end has counted an error, or lost a frame."""
     for device in (wire.controller, wire.rig):
-        told = link(device)
-        assert not any(told["linkinfo"]["info_xstats"].values()), told
+        reported = link(device)
+        assert not any(reported["linkinfo"]["info_xstats"].values()), reported
         for way in ("rx", "tx"):
-            assert told["stats64"][way]["errors"] == told["stats64"][way]["dropped"] == 0, told
+            assert reported["stats64"][way]["errors"] == reported["stats64"][way]["dropped"] == 0, (
+                reported
+            )
 
 
 def lines_of_a_shift(bench: Bench) -> list[str]:
@@ -109,7 +111,7 @@ def test_a_controllers_link_that_goes_down_and_comes_up_is_found_again(bench: Be
             f"{text!r}, from the controller",
             patience=bench.patience(),
             say=bench.story,
-            poll_s=LOOK_S,
+            poll_s=MEASUREMENT_S,
         )
 
     ip("set", "can2", "down")
@@ -141,7 +143,7 @@ def missing_frames(bench: Bench) -> Counter[str]:
 
 @over("bench", [CTU], indirect=True)
 def test_a_transmit_queue_of_ten_that_is_full_loses_nothing_untold(bench: Bench) -> None:
-    """The kernel refuses frames (ENOBUFS); what it counts, the node has told, to the frame."""
+    """The kernel refuses frames (ENOBUFS); what it counts, the node has reported, to the frame."""
     ip("set", "can2", "txqueuelen", "10")
     slow("can2", CONGESTED_BIT_S)
     assert queue_counts("can2")["limit"] == 10
@@ -150,7 +152,7 @@ def test_a_transmit_queue_of_ten_that_is_full_loses_nothing_untold(bench: Bench)
         "a queue that is full",
         patience=bench.patience(),
         say=lambda: f"{queue_counts('can2')}{bench.story()}",
-        poll_s=LOOK_S,
+        poll_s=MEASUREMENT_S,
     )
     hurry("can2")
     bench.dump.mark()
@@ -158,11 +160,11 @@ def test_a_transmit_queue_of_ten_that_is_full_loses_nothing_untold(bench: Bench)
     assert outcome["ToGear"] == 2
     assert bench.stop() == [0, 0], bench.story()
     refused = queue_counts("can2")["drops"]
-    told = re.findall(
+    reported = re.findall(
         r"frame 0x\w+ not sent: .*No buffer space available.* \((\d+) frames refused, (\d+) so far",
         bench.controller.said,
     )
-    assert sum(int(count) for count, _ in told) == int(told[-1][1]) == refused
+    assert sum(int(count) for count, _ in reported) == int(reported[-1][1]) == refused
     missing = missing_frames(bench)
     assert missing["ValveCommand"] > 0
     assert missing.total() <= refused, missing

@@ -139,7 +139,7 @@ def test_silence_ends_validity_at_once_and_three_good_frames_restore_it() -> Non
 
 
 def naive_state(statuses: list[Status]) -> ChannelState:
-    """The rules once more, on a list of the last statuses, as the standard tells them."""
+    """The rules once more, on a list of the last statuses, as the standard reports them."""
     state = ChannelState.NO_DATA
     window: deque[Status] = deque(maxlen=10)
     for status in statuses:

@@ -231,7 +231,7 @@ def fuzz(one: Format, count: int, seed: int, folder: Path) -> tuple[Counter[str]
 
 
 def main(argv: list[str]) -> int:
-    """Each format so often; 1 where one crashed."""
+    """Each format this often; 1 where one crashed."""
     count, seed = int(argv[0]), int(argv[1]) if len(argv) > 1 else 1
     bad, total = 0, 0
     for one in FILES:

@@ -56,7 +56,7 @@ GEARS = (10, 8)
 
 
 class Flood(NamedTuple):
-    """So many hostile frames with every so-many-th frame of the bus."""
+    """This many hostile frames with every so-many-th frame of the bus."""
 
     each: int = 64
     every: int = 16
@@ -175,7 +175,7 @@ class Fuzz:
         self.time.run(lambda: False, self.time.now_us + for_us)
 
     def blocks(self, frames: int) -> Found:
-        """Until so many hostile frames were heard."""
+        """Until this many hostile frames were heard."""
         while self.found.frames < frames:
             self.block()
         return self.found

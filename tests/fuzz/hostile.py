@@ -44,7 +44,7 @@ class Hostile:
             self._last[frame.can_id] = frame
 
     def frames(self, count: int) -> list[Frame]:
-        """So many, once something has been heard."""
+        """This many, once something has been heard."""
         if not self._heard:
             return []
         return [self._one() for _ in range(count)]

@@ -31,7 +31,7 @@ def test_hostile_frames_harm_nothing_and_what_they_deny_is_back_at_once(proven: 
 )
 def test_a_hostile_frame_now_and_then_in_a_shift_harms_nothing(seed: int, shifts: int) -> None:
     """Under a flood nothing is shifted; between frames that come one by one the shift goes on, on
-    what they have told."""
+    what they have reported."""
     found = Fuzz(seed, proven=True, flood=SPARSE).shift_among(shifts)
     assert found.frames > 20 * shifts
     assert found.violations == 0

@@ -40,7 +40,7 @@ def configured_bus(path: Path) -> None:
     bus_config(parser.parse_args(["--config", f"{path}/default"]))
 
 
-def told_of(path: Path) -> None:
+def reported_of(path: Path) -> None:
     """What `replay` and `identify` do first: about how many frames there are."""
     assert expected_frames([path]) is None
     list(read_log(path))
@@ -62,7 +62,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "JSON record": ("a.json", load_record),
     "part of a campaign": ("a.parquet", lambda path: read_shifts(path, ShiftColumns())),
     "table of a campaign": ("a.parquet", lambda path: read_outcomes([path], "target_phase")),
-    "log whose length is told": ("a.log", told_of),
+    "log whose length is reported": ("a.log", reported_of),
     "candump log": ("a.log", lambda path: list(read_log(path))),
     "BLF log": ("a.blf", lambda path: list(read_log(path))),
     "ASC log": ("a.asc", lambda path: list(read_log(path))),
@@ -146,7 +146,7 @@ def test_a_dotted_key_of_usual_length_and_a_text_with_dots_are_read(tmp_path: Pa
     assert load_toml(path)["a"] == {"b": {"c": 1}}
 
 
-def test_a_file_that_is_too_large_is_told_with_its_size(tmp_path: Path) -> None:
+def test_a_file_that_is_too_large_is_reported_with_its_size(tmp_path: Path) -> None:
     path = tmp_path / "large.toml"
     path.write_bytes(b"#" * (TABLE_LIMIT_BYTES + 1))
     with pytest.raises(TableError, match=f"{TABLE_LIMIT_BYTES + 1} bytes, allowed are"):

@@ -33,9 +33,9 @@ TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
 SPARE_S: Final = 1.0
 TIMES: Final = 5.0
-"""Beyond so many times its tests' own time, and the spare, a mutant never ends."""
+"""Beyond this many times its tests' own time, and the spare, a mutant never ends."""
 WALL_TIMES: Final = 20.0
-"""Nor does one that for so many times as long has used no processor at all."""
+"""Nor does one that for this many times as long has used no processor at all."""
 START_S: Final = 30.0
 """What a process of its own takes to load, at most, on a busy machine (processor time)."""
 
@@ -92,7 +92,7 @@ class _Runner:
         gc.freeze()  # a collection in a forked process would copy every page it looks at
 
     def run(self, mutants: Mutants, mutant: Mutant, path: Path) -> None:
-        """One mutant; what came of it is told."""
+        """One mutant; what came of it is reported."""
         where = mutant.where
         lines = where.lines if where.qualname else range(0)
         budget_s = self._task.budget_s

@@ -25,7 +25,7 @@ FORGET: Final = 0.9
 LONGEST_S: Final = 15.0
 """A test that takes longer (processor time) is not run for mutants,"""
 TRACED: Final = 6.0
-"""or so many times as long while its lines are noted."""
+"""or this many times as long while its lines are noted."""
 
 
 class Task:

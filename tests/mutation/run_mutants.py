@@ -4,7 +4,7 @@
     ... --changed [BASE]                                 those of lines that differ from BASE
     ... --resume                                         those of which nothing is known yet
     ... --again                                          those that no run before has killed
-    ... --wall 60                                        as many as can be run in so many seconds
+    ... --wall 60                                        as many as can be run in this many seconds
     ... --document docs/safety.md                        writes what the runs came to; runs nothing
 
 What a run has found holds while the mutated file and the test that caught the mutant are the same;
@@ -224,7 +224,7 @@ def main(arguments: list[str]) -> int:
         "--budget", type=float, default=BUDGET_S, metavar="S",
         help="processor seconds of tests for one mutant (default: %(default)g)",
     )  # fmt: skip
-    parser.add_argument("--wall", type=float, metavar="S", help="no more after so many seconds")
+    parser.add_argument("--wall", type=float, metavar="S", help="no more after this many seconds")
     parser.add_argument("--document", type=Path, metavar="FILE", help="writes its table")
     options = parser.parse_args(arguments)
     if options.document:

@@ -165,7 +165,7 @@ def test_a_jammed_sleeve_stays_in_its_gear() -> None:
 def test_a_jammed_splitter_or_range_stays_at_its_side_for_as_long(
     name: Sleeve, valves: tuple[Valve, Valve]
 ) -> None:
-    """Asked to the side where it does not stand; told again after the fault, it goes there."""
+    """Asked to the side where it does not stand; reported again after the fault, it goes there."""
     truck = with_fault(RigFault.SLEEVE_JAMMED, int(name), for_us=200_000)
     sleeve = truck.script.step_sleeve(name)
     assert sleeve is not None
@@ -276,7 +276,7 @@ def test_a_scenario_file_says_what_when_and_how_long(tmp_path: Path) -> None:
         ("[other]", ["other"]),
     ],
 )
-def test_a_wrong_scenario_is_told(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_wrong_scenario_is_reported(tmp_path: Path, text: str, words: list[str]) -> None:
     path = tmp_path / "faults.toml"
     path.write_text(text)
     with pytest.raises(ScenarioError) as error:

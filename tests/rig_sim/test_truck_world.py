@@ -175,7 +175,7 @@ def test_as_built_is_drawn_within_its_ranges_and_a_file_fixes_it(tmp_path: Path)
         ("[turbo.inner]", ["turbo"]),
     ],
 )
-def test_a_wrong_as_built_file_is_told(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_wrong_as_built_file_is_reported(tmp_path: Path, text: str, words: list[str]) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(text)
     with pytest.raises(AsBuiltError) as error:

@@ -15,7 +15,7 @@ from benchmarks.studies.commission_run import Box as Commissioned
 from benchmarks.studies.counterfactual_run import Compared as Landing
 from benchmarks.studies.excitation import BrakePoint, Figures, figures, matched
 from benchmarks.studies.hardware import Bought, certainty
-from benchmarks.studies.identify_run import Gearbox, Told
+from benchmarks.studies.identify_run import Gearbox, Reported
 from benchmarks.studies.jobs import ShiftErrors
 from benchmarks.studies.record import Finding, Given, Statement, ThesisVerdict
 from benchmarks.studies.registry import load
@@ -158,34 +158,38 @@ def test_landings_agree_where_nine_to_ten_of_ten_intervals_hold_the_truth(
     outside: int, agrees: bool
 ) -> None:
     """Intervals that are too wide are as wrong as those that are too narrow; shifts of which no
-    landing is told are counted and take no part."""
+    landing is reported are counted and take no part."""
     start = given("counterfactual")
     start = replace(start, own=replace(start.own, shifts=21, shifts_of_one=21))
     (job,) = load("counterfactual").jobs(start)
-    told = [Landing("", False, 2.0 if k < outside else 0.5, 1.0, 0.5, True) for k in range(20)]
+    reported = [Landing("", False, 2.0 if k < outside else 0.5, 1.0, 0.5, True) for k in range(20)]
     nan = float("nan")
     untold = Landing("known to within 3.1 deg only", False, nan, nan, nan, False)
-    finding = load("counterfactual").conclude(replace(start, results={job: [*told, untold]}))
+    finding = load("counterfactual").conclude(replace(start, results={job: [*reported, untold]}))
     assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
-    assert finding.figures["told"] == 20
+    assert finding.figures["reported"] == 20
     assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
-    assert finding.figures["not_told"] == {"known to within n deg only": 1}
+    assert finding.figures["not_reported"] == {"known to within n deg only": 1}
 
 
 @pytest.mark.parametrize(("outside", "agrees"), [(0, True), (2, True), (3, False)])
 def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_built(
     outside: int, agrees: bool
 ) -> None:
-    """What a log does not tell is counted as not told, not as right."""
+    """What a log does not tell is counted as not reported, not as right."""
     start = given("identify")
     start = replace(start, own=replace(start.own, gearboxes=1))
     (job,) = load("identify").jobs(start)
     nan = float("nan")
-    told = [Told("drag", "Nm", 6.0, 5.0, 7.0, 8.0, 7.5 if k < outside else 6.5) for k in range(20)]
-    box = Gearbox((*told, Told("drag", "Nm", None, nan, nan, 8.0, 6.5)), (("main", 90, 81),), ())
+    reported = [
+        Reported("drag", "Nm", 6.0, 5.0, 7.0, 8.0, 7.5 if k < outside else 6.5) for k in range(20)
+    ]
+    box = Gearbox(
+        (*reported, Reported("drag", "Nm", None, nan, nan, 8.0, 6.5)), (("main", 90, 81),), ()
+    )
     finding = load("identify").conclude(replace(start, results={job: box}))
     assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
-    assert finding.figures["told"] == 20
+    assert finding.figures["reported"] == 20
     assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
     assert finding.figures["by_figure"]["drag"]["half interval"] == pytest.approx(1.0)
     assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}

@@ -43,11 +43,11 @@ def scenarios() -> Iterator[Any]:
 
 @pytest.mark.parametrize(("k", "named"), list(scenarios()))
 def test_a_fault_is_found_and_ends_as_the_document_says(k: int, named: Named) -> None:
-    course = run_named(named)
-    assert course.broken == []
+    outcome = run_named(named)
+    assert outcome.broken == []
     *there, found, by, result = (cell.strip() for cell in lines()[k].split("|")[1:-1])
     *here, found_now, by_now, result_now = (
-        cell.strip() for cell in table_row(course).split("|")[1:-1]
+        cell.strip() for cell in table_row(outcome).split("|")[1:-1]
     )
     assert (there, by, result) == (here, by_now, result_now)
     if found == "-" or found_now == "-":
@@ -55,8 +55,8 @@ def test_a_fault_is_found_and_ends_as_the_document_says(k: int, named: Named) ->
     else:
         assert abs(float(found) - float(found_now)) <= TICK_MS
     if named in STALE:
-        assert course.found_ms is not None
-        assert course.found_ms <= STALE_MS
+        assert outcome.found_ms is not None
+        assert outcome.found_ms <= STALE_MS
 
 
 def test_the_table_has_a_line_a_scenario() -> None:

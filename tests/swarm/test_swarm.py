@@ -59,7 +59,7 @@ def deed_alone(name: str) -> World:
 
 
 def deeds() -> Iterator[Any]:
-    """Of all, the suite runs one that drives valves, one that blinds and one that tells nothing."""
+    """Of all, the suite runs one that drives valves, one that blinds and one that says nothing."""
     for name in DEEDS:
         yield pytest.param(name, marks=() if name in IN_THE_SUITE else (pytest.mark.long,))
 
@@ -98,7 +98,7 @@ def test_the_gearboxes_of_a_swarm_are_drawn_from_its_profile() -> None:
     assert clean.run(world) != SPEC.run(world)
 
 
-def test_a_seed_is_a_world_is_a_course() -> None:
+def test_a_seed_is_a_world_is_a_trajectory() -> None:
     world = replace(draw_world(6), safety_ms=2_500)
     assert draw_world(6) == draw_world(6) != draw_world(7)
     first, again = run(world), run(world)

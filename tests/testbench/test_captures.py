@@ -161,8 +161,16 @@ def test_a_converted_capture_is_numbered_by_the_node(
     """The log's frames through the node's own reading: the teeth that the capture had."""
     write_changes(tmp_path / "a.csv", (34, 35))
     log = tmp_path / "a.log"
-    told = ["--column", "1", "--teeth", "36", "--missing", "34,35", "--polarity", polarity]
-    command = ["captures", str(tmp_path / "a.csv"), *told, "--shaft", "layshaft", "-o", str(log)]
+    reported = ["--column", "1", "--teeth", "36", "--missing", "34,35", "--polarity", polarity]
+    command = [
+        "captures",
+        str(tmp_path / "a.csv"),
+        *reported,
+        "--shaft",
+        "layshaft",
+        "-o",
+        str(log),
+    ]
     assert main(command) == 0
     out = capsys.readouterr().out
     assert "teeth = 36, missing = [34, 35]" in out
@@ -182,7 +190,7 @@ def test_a_converted_capture_is_numbered_by_the_node(
     assert f"{numbered} of {edges - (polarity != 'falling')} edges numbered" in out
 
 
-def test_what_is_not_said_is_tried_and_told(
+def test_what_is_not_said_is_tried_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_voltage(tmp_path / "v.csv")

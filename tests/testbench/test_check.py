@@ -80,12 +80,12 @@ def rewired(frames: list[Timed], change) -> list[Timed]:
 def test_a_rig_that_turns_is_good_in_everything_that_can_be_known(driving) -> None:
     listener = heard(driving)
     assert bad(listener) == []
-    told = found(listener)
+    reported = found(listener)
     for pair in ("input to layshaft, splitter high", "layshaft to main, main gear first"):
-        assert told[pair].verdict is Verdict.GOOD
-    assert told["EdgesMainRise"].text.startswith("100.")
-    assert told["drift"].verdict is Verdict.GOOD
-    assert "all off" in told["valves"].text
+        assert reported[pair].verdict is Verdict.GOOD
+    assert reported["EdgesMainRise"].text.startswith("100.")
+    assert reported["drift"].verdict is Verdict.GOOD
+    assert "all off" in reported["valves"].text
 
 
 def test_a_wheel_with_another_tooth_count_is_named_with_the_one_that_would_fit(driving) -> None:
@@ -144,7 +144,7 @@ def test_no_air_and_a_dragging_brake_are_no(driving) -> None:
     assert {"supply", "brake pressure"} <= set(bad(heard(rewired(driving, change))))
 
 
-def test_stamps_that_come_in_bundles_scatter_and_drift_are_told(driving) -> None:
+def test_stamps_that_come_in_bundles_scatter_and_drift_are_reported(driving) -> None:
     bundled = [(round(t * 200) / 200 if i % 7 else t, f) for i, (t, f) in enumerate(driving)]
     assert "bundles" in found(heard(bundled))["arrival"].text
     late = [(t + 0.012 * (int(t * 10) % 2), f) for t, f in driving]
@@ -213,8 +213,8 @@ def test_each_fact_of_a_link_that_is_wrong_is_the_reason(change, subject, said) 
 
 @pytest.mark.parametrize("fd", [False, True])
 def test_a_classic_profile_needs_neither_fd_nor_its_bit_rate(fd: bool) -> None:
-    told = device() if fd else device(mtu=16, ctrlmode=[], data_bittiming={})
-    findings = list(judge_link(link_of(told), profile=WireProfile.CLASSIC))
+    reported = device() if fd else device(mtu=16, ctrlmode=[], data_bittiming={})
+    findings = list(judge_link(link_of(reported), profile=WireProfile.CLASSIC))
     assert [f for f in findings if f.verdict is not Verdict.GOOD] == []
     slow = device(bittiming={"bitrate": 250000, "sample_point": 0.875})
     wrong = answer(list(judge_link(link_of(slow), profile=WireProfile.CLASSIC)))
@@ -230,9 +230,9 @@ def test_error_counters_that_grow_while_listening_are_no() -> None:
 
 def test_a_virtual_device_says_what_cannot_be_known() -> None:
     link = link_of('[{"ifname":"vcan0","flags":["UP"],"mtu":72,"linkinfo":{"info_kind":"vcan"}}]')
-    told = list(judge_link(link))
-    assert [f.verdict for f in told] == [Verdict.GOOD, Verdict.GOOD, Verdict.UNKNOWN]
-    assert "error counters" in told[-1].text
+    reported = list(judge_link(link))
+    assert [f.verdict for f in reported] == [Verdict.GOOD, Verdict.GOOD, Verdict.UNKNOWN]
+    assert "error counters" in reported[-1].text
 
 
 def test_what_is_no_link_is_said() -> None:
@@ -284,7 +284,7 @@ def test_over_the_local_bus_with_the_rig_as_the_other_side(
         assert code == 0, record["reason"]
         by_subject = {f["subject"]: f for f in record["findings"]}
         assert by_subject["bit timing"]["verdict"] == "unknown"
-        assert "meshpoint tells no bit rates" in by_subject["bit timing"]["text"]
+        assert "meshpoint reports no bit rates" in by_subject["bit timing"]["text"]
         assert by_subject["input turned by hand"]["verdict"] == "good"
         assert "turn the input shaft by hand" in said
 

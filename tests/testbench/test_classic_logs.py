@@ -1,4 +1,4 @@
-"""The classic profile told, watched and checked."""
+"""The classic profile reported, watched and checked."""
 
 from __future__ import annotations
 
@@ -42,15 +42,17 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_it_is_told_with_valves_and_outcome(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_is_reported_with_valves_and_outcome(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["tell", str(log), "--profile", "classic", "--gearbox", "truck12"]) == 0
-    told = capsys.readouterr().out
-    assert "asks for gear" in told
-    assert "valve main_" in told
-    assert "is in:" in told
+    reported = capsys.readouterr().out
+    assert "asks for gear" in reported
+    assert "valve main_" in reported
+    assert "is in:" in reported
 
 
-def test_without_the_profile_nothing_of_valves_is_told(
+def test_without_the_profile_nothing_of_valves_is_reported(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tell", str(log), "--gearbox", "truck12"]) == 0
@@ -71,11 +73,11 @@ def test_its_contacts_are_reported_and_what_cannot_be_decided_is_said(
 ) -> None:
     words = ["replay", "--gap-rate", str(log), "--gearbox", "truck12"]
     assert main([*words, "--profile", "classic"]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "met the gap in" in told
-    assert "of 1 (" in told
-    assert "not decidable" in told
-    assert "classic" in told
+    reported = " ".join(capsys.readouterr().out.split())
+    assert "met the gap in" in reported
+    assert "of 1 (" in reported
+    assert "not decidable" in reported
+    assert "classic" in reported
     assert main(words) != 0
     assert "--profile classic" in " ".join(capsys.readouterr().err.split())
 
@@ -123,6 +125,6 @@ def test_a_commissioning_over_it_is_refused_with_the_way(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["commission", "--profile", "classic", "--drawn", "1"]) != 0
-    told = " ".join(capsys.readouterr().err.split())
-    assert "two shafts alone" in told
-    assert "over CAN FD" in told
+    reported = " ".join(capsys.readouterr().err.split())
+    assert "two shafts alone" in reported
+    assert "over CAN FD" in reported

@@ -72,7 +72,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("captures a.csv b.csv -o a.log", ("-o", "one capture", "2")),
     ],
 )
-def test_a_mistake_is_told_in_one_line(
+def test_a_mistake_is_reported_in_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,

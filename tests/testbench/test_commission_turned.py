@@ -154,8 +154,8 @@ def test_a_silent_sensor_is_named_and_no_other() -> None:
 
 def test_a_sleeve_whose_gears_ratios_are_the_other_way_round_is_not_believed() -> None:
     assert all(is_true for _, is_true in made_turning().order())
-    told = dict(made_turning(first=0.68, second=0.43).order())
-    assert told == {
+    reported = dict(made_turning(first=0.68, second=0.43).order())
+    assert reported == {
         Sleeve.FIRST_SECOND: False,
         Sleeve.CRAWL_THIRD: True,
         Sleeve.SPLITTER: True,
@@ -181,14 +181,14 @@ def test_outputs_are_all_found_where_the_main_sleeves_position_sensors_are_excha
 
 
 @given(st.integers(17, 61), st.integers(17, 61), st.floats(-1.0, 1.0))
-def test_a_ratio_of_two_wheels_is_found_or_not_told_but_never_another(a, b, off) -> None:
+def test_a_ratio_of_two_wheels_is_found_or_not_reported_but_never_another(a, b, off) -> None:
     tolerance = 3e-5
     found = fraction_of(a / b * (1.0 + off * tolerance * 0.9), tolerance)
     assert found in (None, Fraction(a, b))
 
 
 @given(st.integers(17, 45), st.integers(17, 45))
-def test_a_ratio_of_small_wheels_is_told(a, b) -> None:
+def test_a_ratio_of_small_wheels_is_reported(a, b) -> None:
     assert fraction_of(a / b, 3e-5) == Fraction(a, b)
 
 

@@ -125,13 +125,13 @@ def test_two_settings_part_in_the_shifts_of_a_log(runs: Runs, tmp_path: Path) ->
     recorded, later = tmp_path / "recorded.toml", tmp_path / "later.toml"
     recorded.write_text("")
     later.write_text('strategy = "speed_window_anticipating"\n')
-    page, told = tmp_path / "page.html", tmp_path / "replay.json"
+    page, reported = tmp_path / "page.html", tmp_path / "replay.json"
     log = str(runs["a.log"])
     words = str(recorded), str(later), "--log", log, "--report", str(page)
     code, values = compared(tmp_path, *words)
     assert code == 1
-    assert main(["replay", log, "--settings", str(later), "--json", str(told)]) == 0
-    rows = json.loads(told.read_text())["shifts"]
+    assert main(["replay", log, "--settings", str(later), "--json", str(reported)]) == 0
+    rows = json.loads(reported.read_text())["shifts"]
     assert len(values["shifts"]) == len(rows) == 2
     parted = 0
     for shift, row in zip(values["shifts"], rows, strict=True):

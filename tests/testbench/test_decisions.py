@@ -1,4 +1,4 @@
-"""Where two courses of one shift part, by the commands of their steps."""
+"""Where two trajectories of one shift part, by the commands of their steps."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.testbench.open_loop.course import Course, Said
 from meshpoint.testbench.open_loop.judged import Judged, judge
+from meshpoint.testbench.open_loop.trajectory import Said, Trajectory
 from meshpoint.units import DEG
 
 REQUEST_US = (1 << 32) - 50_000
@@ -47,17 +47,17 @@ def predicted(decision: ShiftDecision, fire_ms: float) -> ShiftPrediction:
     )
 
 
-def course(
+def trajectory(
     off_ms: float,
     *,
     clutch: ClutchCommand = OPEN,
     engine: TSC1 | None = None,
     fire_ms: float | None = None,
     committed_ms: float | None = None,
-) -> Course:
+) -> Trajectory:
     """Steps of 10 ms to 300 ms: the brake on at 20 ms, off at `off_ms`; a firing planned from
     100 ms on, and committed; clutch and engine as given from 60 ms on."""
-    made = Course()
+    made = Trajectory()
     for at_ms in range(0, 300, 10):
         prediction = None
         if fire_ms is not None and at_ms >= 100:
@@ -80,7 +80,7 @@ def course(
     return made
 
 
-def judged(recorded: Course, replayed: Course) -> Judged:
+def judged(recorded: Trajectory, replayed: Trajectory) -> Judged:
     outcome = ShiftOutcome(
         from_gear=8, to_gear=10, result=ShiftResult.ENGAGED, request_time_us=REQUEST_US
     )
@@ -88,41 +88,41 @@ def judged(recorded: Course, replayed: Course) -> Judged:
     return judge(outcome, STEP_US, recorded, replayed, None, settings, known=0, strayed=None)
 
 
-def test_commands_part_when_they_are_sent_and_courses_when_a_valve_is_driven() -> None:
-    shift = judged(course(200.0), course(215.0))
+def test_commands_part_when_they_are_sent_and_trajectories_when_a_valve_is_driven() -> None:
+    shift = judged(trajectory(200.0), trajectory(215.0))
     assert shift.parted is not None
     assert (shift.parted.at_ms, shift.parted.differ) == (160.0, ("brake",))
-    assert shift.course_parted_ms == pytest.approx(200.0)
+    assert shift.trajectory_parted_ms == pytest.approx(200.0)
     assert shift.driven["brake"] == [pytest.approx((20.0, 215.0))]
 
 
 def test_the_same_commands_never_part() -> None:
-    shift = judged(course(200.0), course(200.0))
-    assert (shift.parted, shift.course_parted_ms) == (None, None)
+    shift = judged(trajectory(200.0), trajectory(200.0))
+    assert (shift.parted, shift.trajectory_parted_ms) == (None, None)
     assert "recorded ones" in shift.contact_why
 
 
 @pytest.mark.parametrize(
     ("command", "other"),
-    [("clutch", course(200.0, clutch=CLOSED)), ("engine", course(200.0, engine=TSC1()))],
+    [("clutch", trajectory(200.0, clutch=CLOSED)), ("engine", trajectory(200.0, engine=TSC1()))],
 )
-def test_clutch_and_engine_part_a_course_too(command: str, other: Course) -> None:
-    shift = judged(course(200.0), other)
+def test_clutch_and_engine_part_a_trajectory_too(command: str, other: Trajectory) -> None:
+    shift = judged(trajectory(200.0), other)
     assert shift.parted is not None
     assert shift.parted.differ == (command,)
-    assert shift.parted.at_ms == shift.course_parted_ms == 60.0
+    assert shift.parted.at_ms == shift.trajectory_parted_ms == 60.0
 
 
 def test_what_is_decided_after_the_recorded_contact_does_not_count() -> None:
     """Recorded: fired at 150 ms, so in contact at 195; the other one decides to at 250 only."""
-    recorded = course(120.0, fire_ms=150.0, committed_ms=140)
-    shift = judged(recorded, course(140.0, fire_ms=280.0, committed_ms=250))
+    recorded = trajectory(120.0, fire_ms=150.0, committed_ms=140)
+    shift = judged(recorded, trajectory(140.0, fire_ms=280.0, committed_ms=250))
     assert shift.judged_to_ms == pytest.approx(195.0)
     assert max(decision.at_ms for decision in shift.decisions) == 190.0
     assert all(end_ms <= 195.0 for spans in shift.driven.values() for _, end_ms in spans)
-    assert shift.course_parted_ms == pytest.approx(120.0)
+    assert shift.trajectory_parted_ms == pytest.approx(120.0)
     assert [d.decision for d in shift.predictions] == ["fire"] * 10
-    own = shift.last_on_own_course
+    own = shift.last_on_own_trajectory
     assert own is not None
     assert own.at_ms == 110.0
     assert own.fired_ms == pytest.approx(280.0)

@@ -13,22 +13,22 @@ from scipy.integrate import quad
 
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import Split
-from meshpoint.testbench.identify.brake_course import (
+from meshpoint.testbench.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
+from meshpoint.testbench.identify.brake_trajectory import (
     COUNT,
     GRID_S,
     LAMINAR_FROM,
     SOFT_RAD_S,
     TYPICAL_LAG_S,
-    BrakeCourses,
-    Course,
+    BrakeTrajectories,
     P,
+    Trajectory,
     angles_at,
     flow_share,
-    make_course,
+    make_trajectory,
     prior_of,
     time_constant_s,
 )
-from meshpoint.testbench.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
 from meshpoint.testbench.identify.identify import identify
 from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.units import BAR, RPM
@@ -38,12 +38,12 @@ FINE = 20
 """Small steps in one of the grid's."""
 
 
-def course_of(split: Split = Split.HIGH, engine_rpm: float | None = 900.0) -> Course:
+def trajectory_of(split: Split = Split.HIGH, engine_rpm: float | None = 900.0) -> Trajectory:
     run = braked(1_000_000, 1_400.0, 0.09, split)
     if engine_rpm is not None:
         engine = np.array([[0.0, 5e6], [engine_rpm * RPM, engine_rpm * RPM]])
         run = replace(run, engine=engine)
-    made = make_course(run, SHEET, np.zeros(EDGES), ATMOSPHERE_PA, 0.3)
+    made = make_trajectory(run, SHEET, np.zeros(EDGES), ATMOSPHERE_PA, 0.3)
     assert made is not None
     return made
 
@@ -59,25 +59,27 @@ def flow(behind_pa: float, before_pa: float, critical: float) -> float:
 
 
 def solved(
-    course: Course, parameters: Vector, omega: float, choked: bool, omega_ref: float
+    trajectory: Trajectory, parameters: Vector, omega: float, choked: bool, omega_ref: float
 ) -> tuple[Vector, Vector, Vector]:
     """Angle, speed and felt pressure at the grid's nodes."""
     p = {name: float(parameters[name]) for name in P}
-    supply = course.supply_pa + p[P.SUPPLY] * BAR
-    gain = SHEET.brake_nm_per_pa * math.exp(p[P.GAIN]) * (1.0 + p[P.BY_TIME] * course.share_of_log)
-    shafts, i = SHEET.shafts, course.i_split
+    supply = trajectory.supply_pa + p[P.SUPPLY] * BAR
+    gain = (
+        SHEET.brake_nm_per_pa * math.exp(p[P.GAIN]) * (1.0 + p[P.BY_TIME] * trajectory.share_of_log)
+    )
+    shafts, i = SHEET.shafts, trajectory.i_split
     inertia = shafts.layshaft_inertia_kgm2
     inertia += shafts.input_inertia_kgm2 * math.exp(p[P.INERTIA]) / i**2
     lag_s = TYPICAL_LAG_S * math.exp(p[P.SENSOR_LAG])
     rate = 1.0 / SHEET.brake.time_constant_s
     pressure = felt = theta = 0.0
     found, step = [], GRID_S / FINE
-    engine = course.engine_rad_s
-    for k in range(course.nodes * FINE):
+    engine = trajectory.engine_rad_s
+    for k in range(trajectory.nodes * FINE):
         if k % FINE == 0:
             found.append((theta, omega, felt))
         now_s, on = k * step, False
-        for at_s, is_on in course.switches:
+        for at_s, is_on in trajectory.switches:
             if now_s >= at_s + p[P.ON_DELAY if is_on else P.OFF_DELAY] - 1e-9:
                 on = is_on
         if choked:
@@ -89,7 +91,7 @@ def solved(
         by = math.exp(p[P.FILLING]) * filling if on else -math.exp(p[P.EMPTYING]) * emptying
         after = min(max(pressure + step * rate * by, 0.0), supply)
         felt += step / lag_s * (0.5 * (pressure + after) - felt)
-        if k >= course.first_node * FINE:
+        if k >= trajectory.first_node * FINE:
             torque = gain * max(0.0, pressure - p[P.TOUCH] * BAR)
             torque *= 1.0 + p[P.BY_SPEED] * (omega - omega_ref) / (1000.0 * RPM)
             torque += p[P.DRAG] + (p[P.VISCOUS] + p[P.INPUT_VISCOUS] / i**2) * omega
@@ -102,7 +104,7 @@ def solved(
     return tuple(np.array(column) for column in zip(*found, strict=True))  # type: ignore[return-value]
 
 
-def drawn(seed: int, course: Course) -> Vector:
+def drawn(seed: int, trajectory: Trajectory) -> Vector:
     """A gearbox from the tolerances; its valve switches at whole small steps."""
     prior, rng = prior_of(SHEET), np.random.default_rng(seed)
     parameters = prior.mean + 0.5 * prior.sd * rng.uniform(-1.0, 1.0, COUNT)
@@ -110,7 +112,7 @@ def drawn(seed: int, course: Course) -> Vector:
     parameters[P.TOUCH] = rng.uniform(0.0, 0.4)
     step = GRID_S / FINE
     for number, name in enumerate((P.ON_DELAY, P.OFF_DELAY)):
-        at_s = course.switches[number][0]
+        at_s = trajectory.switches[number][0]
         parameters[name] = step * round((at_s + parameters[name]) / step) - at_s
     return parameters
 
@@ -121,13 +123,13 @@ def drawn(seed: int, course: Course) -> Vector:
 def test_a_run_goes_as_its_equations_say_whatever_the_gearbox(
     choked: bool, split: Split, engine_rpm: float | None
 ) -> None:
-    course = course_of(split, engine_rpm)
-    model = BrakeCourses([course], SHEET, choked)
+    trajectory = trajectory_of(split, engine_rpm)
+    model = BrakeTrajectories([trajectory], SHEET, choked)
     model.omega_ref = 120.0
     for seed in range(3):
-        parameters, omega = drawn(seed, course), 140.0 + 5.0 * seed
+        parameters, omega = drawn(seed, trajectory), 140.0 + 5.0 * seed
         angles, speeds, felts = model.run(parameters[None], np.array([omega]))
-        theta, speed, felt = solved(course, parameters, omega, choked, 120.0)
+        theta, speed, felt = solved(trajectory, parameters, omega, choked, 120.0)
         lost = omega - speed[-1]
         assert lost > 5.0
         assert speeds[:, 0, 0] == pytest.approx(speed, abs=0.004 * lost + 0.01)
@@ -135,30 +137,30 @@ def test_a_run_goes_as_its_equations_say_whatever_the_gearbox(
         assert felts[:, 0, 0] == pytest.approx(felt, abs=0.01 * float(felt.max()) + 200.0)
 
 
-def test_a_course_is_the_run_s_angles_in_bins_and_its_first_speed() -> None:
+def test_a_trajectory_is_the_run_s_angles_in_bins_and_its_first_speed() -> None:
     """Angles and speeds at the grid's nodes give the bins' means back, by what weighs them."""
-    course = course_of()
+    trajectory = trajectory_of()
     run = braked(1_000_000, 1_400.0, 0.09, Split.HIGH)
     seconds = (run.layshaft.time_us - run.start_us) * 1e-6
-    at = np.arange(course.nodes) * GRID_S - course.first_node * GRID_S
+    at = np.arange(trajectory.nodes) * GRID_S - trajectory.first_node * GRID_S
     smooth = np.polynomial.Polynomial.fit(seconds, run.layshaft.theta_rad, 9)
     angles = smooth(np.clip(at, 0.0, seconds[-1])) - run.layshaft.theta_rad[0]
     speeds = smooth.deriv()(np.clip(at, 0.0, seconds[-1]))
-    told = course.weights[:, :, 0] @ angles + course.weights[:, :, 1] @ speeds
+    reported = trajectory.weights[:, :, 0] @ angles + trajectory.weights[:, :, 1] @ speeds
     inside = slice(1, -1)
-    assert course.angle[inside] == pytest.approx(told[inside], abs=2e-2)
-    assert course.weights[:, :, 0].sum(axis=1) == pytest.approx(1.0)
-    assert course.omega_rad_s == pytest.approx(1_400.0 * RPM, rel=0.02)
-    assert course.edges.sum() <= run.layshaft.time_us.size
-    edges = angles_at(course.nodes_of_edges, angles, speeds)
-    assert edges[20:-20] == pytest.approx(course.theta_rad[20:-20], abs=2e-2)
-    assert course.pressure_s.size == course.pressure_pa.size == run.pressure.shape[1]
-    assert course.pressure_pa == pytest.approx(run.pressure[1] - ATMOSPHERE_PA)
-    assert course.supply_pa == pytest.approx(run.supply_pa - ATMOSPHERE_PA)
-    assert [on for _, on in course.switches] == [True, False]
-    assert course.switches[1][0] - course.switches[0][0] == pytest.approx(0.09)
-    assert course.switches[0][0] == pytest.approx(course.first_node * GRID_S, abs=GRID_S)
-    assert course.share_of_log == 0.3
+    assert trajectory.angle[inside] == pytest.approx(reported[inside], abs=2e-2)
+    assert trajectory.weights[:, :, 0].sum(axis=1) == pytest.approx(1.0)
+    assert trajectory.omega_rad_s == pytest.approx(1_400.0 * RPM, rel=0.02)
+    assert trajectory.edges.sum() <= run.layshaft.time_us.size
+    edges = angles_at(trajectory.nodes_of_edges, angles, speeds)
+    assert edges[20:-20] == pytest.approx(trajectory.theta_rad[20:-20], abs=2e-2)
+    assert trajectory.pressure_s.size == trajectory.pressure_pa.size == run.pressure.shape[1]
+    assert trajectory.pressure_pa == pytest.approx(run.pressure[1] - ATMOSPHERE_PA)
+    assert trajectory.supply_pa == pytest.approx(run.supply_pa - ATMOSPHERE_PA)
+    assert [on for _, on in trajectory.switches] == [True, False]
+    assert trajectory.switches[1][0] - trajectory.switches[0][0] == pytest.approx(0.09)
+    assert trajectory.switches[0][0] == pytest.approx(trajectory.first_node * GRID_S, abs=GRID_S)
+    assert trajectory.share_of_log == 0.3
 
 
 def test_air_flows_as_iso_6358_has_it() -> None:
@@ -197,18 +199,18 @@ def test_whitened_angles_of_a_shaft_that_chance_drives_are_independent() -> None
 
 
 @pytest.fixture(scope="module")
-def courses() -> list[Course]:
+def trajectories() -> list[Trajectory]:
     made = [
-        make_course(run, SHEET, np.zeros(EDGES), ATMOSPHERE_PA, k / 5 - 0.5)
+        make_trajectory(run, SHEET, np.zeros(EDGES), ATMOSPHERE_PA, k / 5 - 0.5)
         for k, run in enumerate(runs())
     ]
-    found = [course for course in made if course is not None]
+    found = [trajectory for trajectory in made if trajectory is not None]
     assert len(found) == 6
     return found
 
 
-def test_the_brake_is_found_by_its_effect_on_the_layshaft(courses: list[Course]) -> None:
-    found = fit(courses, SHEET, False, 900.0 * RPM)
+def test_the_brake_is_found_by_its_effect_on_the_layshaft(trajectories: list[Trajectory]) -> None:
+    found = fit(trajectories, SHEET, False, 900.0 * RPM)
     assert found.used.all()
     value = found.parameters
     assert math.exp(value[P.GAIN]) == pytest.approx(GAIN, rel=0.02)
@@ -220,23 +222,25 @@ def test_the_brake_is_found_by_its_effect_on_the_layshaft(courses: list[Course])
 
 
 def test_a_run_in_which_something_else_moved_the_shaft_is_as_if_it_were_not_there(
-    courses: list[Course],
+    trajectories: list[Trajectory],
 ) -> None:
     """In the middle of the run a sleeve gives the shaft a push."""
-    push = 0.3 * np.maximum(np.linspace(-1.0, 1.0, courses[2].angle.size), 0.0)
-    pushed = replace(courses[2], angle=courses[2].angle + push)
-    among = [*courses[:3], pushed, *courses[3:]]
-    found, alone = (fit(each, SHEET, False, 900.0 * RPM) for each in (among, courses))
+    push = 0.3 * np.maximum(np.linspace(-1.0, 1.0, trajectories[2].angle.size), 0.0)
+    pushed = replace(trajectories[2], angle=trajectories[2].angle + push)
+    among = [*trajectories[:3], pushed, *trajectories[3:]]
+    found, alone = (fit(each, SHEET, False, 900.0 * RPM) for each in (among, trajectories))
     assert found.used.tolist() == [True] * 3 + [False] + [True] * 3
     assert np.abs((found.parameters - alone.parameters) / alone.prior.sd).max() < 2e-3
-    assert found.misfit == pytest.approx(alone.misfit, rel=0.01)
+    assert found.reduced_chi2 == pytest.approx(alone.reduced_chi2, rel=0.01)
     assert found.covariance == pytest.approx(alone.covariance, rel=0.05, abs=1e-12)
 
 
-def test_what_is_found_without_a_run_is_what_the_others_alone_tell(courses: list[Course]) -> None:
-    whole = fit(courses, SHEET, False, 900.0 * RPM)
+def test_what_is_found_without_a_run_is_what_the_others_alone_tell(
+    trajectories: list[Trajectory],
+) -> None:
+    whole = fit(trajectories, SHEET, False, 900.0 * RPM)
     for k in (0, 5):
-        others = fit([*courses[:k], *courses[k + 1 :]], SHEET, False, 900.0 * RPM)
+        others = fit([*trajectories[:k], *trajectories[k + 1 :]], SHEET, False, 900.0 * RPM)
         assert np.abs((whole.without[k] - others.parameters) / whole.prior.sd).max() < 0.1
 
 

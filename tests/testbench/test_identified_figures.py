@@ -1,4 +1,4 @@
-"""What a log has told as figures and as a data sheet, and what it does not tell and why."""
+"""What a log has reported as figures and as a data sheet, and what it does not tell and why."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FIGURES = {
 }
 
 
-def told(**changed: float | None) -> Identified:
+def reported(**changed: float | None) -> Identified:
     """All figures, those that are named changed or left untold."""
     found = Identified(omega_ref_rad_s=100.0)
     found.supply_pa = 1.44 * SHEET.air.supply_gauge_pa + SHEET.air.atmosphere_pa
@@ -55,7 +55,7 @@ def test_every_figure_has_its_key_in_the_units_of_the_file() -> None:
     """Delays and times of the brake are means of both ways; the sleeve's delay is the mean of the
     gears, and less air than in the log, by 1.44, makes its way 1.2 times as long but not the
     valve's 12 ms: 12 + 1.2 (47 - 12)."""
-    assert by_key(told()) == pytest.approx(
+    assert by_key(reported()) == pytest.approx(
         {
             "brake.max_torque_nm": 91.5,
             "brake.valve_delay_ms": 14.5,
@@ -72,8 +72,10 @@ def test_every_figure_has_its_key_in_the_units_of_the_file() -> None:
     )
 
 
-def test_what_was_not_told_has_no_key_and_of_two_ways_the_one_that_was_stands_for_both() -> None:
-    found = by_key(told(brake_valve_off_delay=None, brake_filling_time=None, drag=None,
+def test_what_was_not_reported_has_no_key_and_of_two_ways_the_one_that_was_stands_for_both() -> (
+    None
+):
+    found = by_key(reported(brake_valve_off_delay=None, brake_filling_time=None, drag=None,
                         sleeve_delay_first=None, sleeve_delay_third=None,
                         clutch_kiss_point=None))  # fmt: skip
     assert found == pytest.approx(
@@ -89,9 +91,9 @@ def test_what_was_not_told_has_no_key_and_of_two_ways_the_one_that_was_stands_fo
 
 
 def test_a_spread_is_a_tenth_of_a_millisecond_at_least_and_drag_never_negative() -> None:
-    found = by_key(told(sleeve_delay_spread=0.05, drag=-1.0))
+    found = by_key(reported(sleeve_delay_spread=0.05, drag=-1.0))
     assert (found["sleeve.delay_sd_ms"], found["shafts.friction_nms"]) == (0.1, 0.0)
-    still = told()
+    still = reported()
     still.omega_ref_rad_s = 0.0
     assert "shafts.friction_nms" not in by_key(still)
 
@@ -123,9 +125,11 @@ def test_the_file_names_each_table_once_and_says_where_a_value_comes_from() -> N
     ]
 
 
-def test_an_overlay_is_a_data_sheet_that_changes_what_was_told(tmp_path: Path) -> None:
+def test_an_overlay_is_a_data_sheet_that_changes_what_was_reported(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
-    path.write_text(overlay(told(inertia_ratio=None), SHEET, "truck12", "a.log"), encoding="utf-8")
+    path.write_text(
+        overlay(reported(inertia_ratio=None), SHEET, "truck12", "a.log"), encoding="utf-8"
+    )
     sheet = load_sheet(path)
     assert sheet.name == "truck12, identified"
     assert sheet.brake.max_torque_nm == 91.5

@@ -104,7 +104,7 @@ def test_a_contact_is_within_20_ms_of_the_sheet_s_and_begins_after_the_command(
     assert (found is not None) is is_timed
 
 
-def test_delays_are_told_as_if_all_strokes_had_the_same_air() -> None:
+def test_delays_are_reported_as_if_all_strokes_had_the_same_air() -> None:
     """A sleeve under p times the force takes 1 / sqrt(p) of the time from its valve's opening."""
     gauges = np.array((6e5, 7e5, 8e5, 9e5))
     strokes = [
@@ -151,7 +151,7 @@ def test_the_spread_is_right_on_average_for_strokes_that_go_together_as_they_are
     assert found.effective_freedom == pytest.approx(7.0 * (1.0 - r**2) / (1.0 + r**2))
 
 
-def told(strokes: list[Stroke]) -> Identified:
+def reported(strokes: list[Stroke]) -> Identified:
     content = LogContent()
     content.messages["ValveCommand"] = 1
     for stroke in strokes:
@@ -164,7 +164,7 @@ def test_a_gear_s_delay_is_its_mean_with_what_few_strokes_that_go_together_leave
     less than the 0.3 that is taken. Each is off the mean of the others of its gear by n / (n - 1)
     of its deviation."""
     first, second = [44.0, 46.0, 47.0, 45.0], [50.0, 52.0, 51.0]
-    found = told([pushed(1e-3 * ms) for ms in first]
+    found = reported([pushed(1e-3 * ms) for ms in first]
                  + [pushed(1e-3 * ms, MainGear.SECOND) for ms in second])  # fmt: skip
     r = 0.3
     expected = 4 - 1 - 2 * (3 / 4 * r + 2 / 4 * r**2 + 1 / 4 * r**3)
@@ -190,12 +190,12 @@ def test_a_gear_s_delay_is_its_mean_with_what_few_strokes_that_go_together_leave
 
 
 def test_two_strokes_tell_nothing_and_three_of_one_gear_do() -> None:
-    few = told([pushed(0.045), pushed(0.046)])
+    few = reported([pushed(0.045), pushed(0.046)])
     assert few.value("sleeve delay first") is None
     assert few.figure("sleeve delay spread").why == "too few strokes into one gear"
-    three = told([pushed(0.045), pushed(0.046), pushed(0.044)])
+    three = reported([pushed(0.045), pushed(0.046), pushed(0.044)])
     assert three.value("sleeve delay first") == pytest.approx(45.0)
-    assert told([]).figure("sleeve delay spread").why == "no stroke of a main sleeve in the log"
+    assert reported([]).figure("sleeve delay spread").why == "no stroke of a main sleeve in the log"
 
 
 def kinked(share: float, bend_rad_s: float = 4.0, noise_rad_s: float = 0.0) -> Closing:

@@ -148,7 +148,7 @@ def test_a_part_in_which_a_sleeve_struck_is_left_out(wheels: list[Wheel]) -> Non
     assert among.spans == alone.spans
 
 
-def test_teeth_are_not_told_where_an_edge_is_not_seen() -> None:
+def test_teeth_are_not_reported_where_an_edge_is_not_seen() -> None:
     one = turned(errors_of(1), 100.0)
     assert tooth_fit([one, one], TOOTH_COUNT) is not None
     gone = one.place != 5
@@ -156,7 +156,7 @@ def test_teeth_are_not_told_where_an_edge_is_not_seen() -> None:
     assert tooth_fit([blind, blind], TOOTH_COUNT) is None
 
 
-def test_a_brake_that_judders_is_told_from_the_teeth() -> None:
+def test_a_brake_that_judders_is_reported_from_the_teeth() -> None:
     """Its torque goes with its pressure and moves the shaft by one over the speed's square; that
     of twice a turn by a quarter."""
     rng = np.random.default_rng(9)
@@ -193,9 +193,9 @@ def test_a_wheel_s_figures_are_duty_eccentricity_and_what_is_left_of_its_teeth(o
     assert figures.duty_share == pytest.approx(0.5 + 2e-3 / (TURN / 30))
 
 
-def test_the_layshaft_s_teeth_are_told_once_more_with_its_motion_by_the_brake_s_model() -> None:
+def test_the_layshaft_s_teeth_are_reported_once_more_with_its_motion_by_the_brake_s_model() -> None:
     """A polynomial of a short run takes an eccentricity of 2 mrad for motion, the model does not;
-    a wheel with missing teeth is not told."""
+    a wheel with missing teeth is not reported."""
     place = np.arange(LAYSHAFT_EDGES)
     errors = 2e-3 * np.cos(TURN * place / LAYSHAFT_EDGES)
     content = LogContent()

@@ -24,7 +24,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "own.log"
 
 
-def told(log: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[str, str]:
+def reported(log: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[str, str]:
     """The name of the sheet in its JSON, and its first line on standard error."""
     capsys.readouterr()
     assert main(["identify", str(log), "--json", "-", *more]) == 0
@@ -35,13 +35,13 @@ def told(log: Path, capsys: pytest.CaptureFixture[str], *more: str) -> tuple[str
 def test_it_begins_with_the_sheet_of_the_log_s_run_header(
     log: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    name, said = told(log, capsys)
+    name, said = reported(log, capsys)
     assert name.startswith("own (header-")
     assert said.endswith("by the log's run header")
-    assert told(log, capsys, "--gearbox", "truck12") == ("truck12", "")
+    assert reported(log, capsys, "--gearbox", "truck12") == ("truck12", "")
     alone = tmp_path / "alone.log"
     alone.write_bytes(log.read_bytes())
-    name, said = told(alone, capsys)
+    name, said = reported(alone, capsys)
     assert name == "truck12"
     assert said.endswith("no run header says another (--gearbox)")
     assert main(["identify", str(log), "-o", str(tmp_path / "found.toml")]) == 2

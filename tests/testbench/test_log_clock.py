@@ -1,5 +1,5 @@
 """A log whose clock is not the sensors': what is read from it is what the same log by their clock
-says, and each reader tells what it did. What does not fit is refused, with the reason."""
+says, and each reader says what it did. What does not fit is refused, with the reason."""
 
 from __future__ import annotations
 
@@ -80,13 +80,13 @@ def others(log: Path) -> dict[str, Path]:
     }
 
 
-Told = Callable[[str, Path], tuple[dict[str, Any], str]]
+Reported = Callable[[str, Path], tuple[dict[str, Any], str]]
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
+def reported(tmp_path_factory: pytest.TempPathFactory) -> Reported:
     """JSON and words, on one line, of a command on a log; each is run once."""
-    path = tmp_path_factory.mktemp("told") / "told.json"
+    path = tmp_path_factory.mktemp("reported") / "reported.json"
 
     @functools.cache
     def tell(command: str, log: Path) -> tuple[dict[str, Any], str]:
@@ -107,9 +107,9 @@ def clock_of(frames: Frames) -> LogClock:
 
 @pytest.mark.parametrize("by", ["steady", pytest.param("uneven", marks=pytest.mark.long)])
 def test_the_gearbox_is_the_one_of_the_log_by_the_sensors_clock(
-    log: Path, others: dict[str, Path], by: str, told: Told
+    log: Path, others: dict[str, Path], by: str, reported: Reported
 ) -> None:
-    (good, _), (found, _) = told("identify", log), told("identify", others[by])
+    (good, _), (found, _) = reported("identify", log), reported("identify", others[by])
     assert not good["log_clock"]["differs"]
     assert found["log_clock"]["parts"][0]["kind"] == by
     for one, other in zip(good["figures"], found["figures"], strict=True):
@@ -124,10 +124,10 @@ def test_the_gearbox_is_the_one_of_the_log_by_the_sensors_clock(
 
 @pytest.mark.parametrize("by", ["steady", pytest.param("uneven", marks=pytest.mark.long)])
 def test_every_request_is_decided_as_by_the_sensors_clock(
-    log: Path, others: dict[str, Path], by: str, told: Told
+    log: Path, others: dict[str, Path], by: str, reported: Reported
 ) -> None:
-    good = told("replay --sensors", log)[0]["decisions"]
-    found, _ = told("replay --sensors", others[by])
+    good = reported("replay --sensors", log)[0]["decisions"]
+    found, _ = reported("replay --sensors", others[by])
     assert len(good) == SHIFTS
     same = ("from", "to", "status", "fault", "strategy", "reference")
     assert [[row[key] for key in same] for row in found["decisions"]] == [
@@ -137,7 +137,7 @@ def test_every_request_is_decided_as_by_the_sensors_clock(
 
 
 @pytest.mark.parametrize("by", ["steady", "uneven"])
-def test_a_story_is_told_at_the_seconds_of_the_sensors_clock(
+def test_a_story_is_reported_at_the_seconds_of_the_sensors_clock(
     log: Path, others: dict[str, Path], by: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def story(path: Path) -> list[dict[str, Any]]:
@@ -165,9 +165,9 @@ def test_a_watched_log_has_its_messages_in_their_cycle(
 
 @pytest.mark.parametrize("command", ["identify", "replay --gap-rate", "replay", "replay --sensors"])
 def test_each_reader_says_what_it_did_with_the_clock(
-    others: dict[str, Path], command: str, told: Told
+    others: dict[str, Path], command: str, reported: Reported
 ) -> None:
-    found, said = told(command, others["steady"])
+    found, said = reported(command, others["steady"])
     assert found["log_clock"]["said"] == STEADY
     assert STEADY in said
 
@@ -255,7 +255,7 @@ def test_a_log_without_edge_frames_is_taken_as_it_is_and_that_is_said(
     path = rewritten(
         log, "no_edges.log", lambda frames: [(t, f) for t, f in frames if f.can_id not in EDGES]
     )
-    said = "no edge frame tells the sensors' clock: the log's stamps are taken as they are"
+    said = "no edge frame reports the sensors' clock: the log's stamps are taken as they are"
     assert main(["tell", str(path)]) == 0
     assert said in capsys.readouterr().out
     frames = list(read_logs([path]))
@@ -263,14 +263,14 @@ def test_a_log_without_edge_frames_is_taken_as_it_is_and_that_is_said(
 
 
 def test_activations_that_came_late_by_the_log_s_clock_are_not_called_missing(
-    log: Path, told: Told
+    log: Path, reported: Reported
 ) -> None:
     path = rewritten(
         log,
         "late.log",
         lambda frames: [(t, f) for t, f in waited_for(frames) if f.can_id not in EDGES],
     )
-    figures = {figure["name"]: figure for figure in told("identify", path)[0]["figures"]}
+    figures = {figure["name"]: figure for figure in reported("identify", path)[0]["figures"]}
     assert figures["sleeve delay second"]["value"] is None
     assert figures["sleeve delay second"]["why"].endswith(
         "commands came after their activation, by the log's clock"

@@ -39,7 +39,7 @@ SHEET = load_sheet("truck12")
 STROKE_M = SHEET.sleeve.stroke_m
 BEGIN_US, STEP_US = 10_000_000, 10_000
 LAYSHAFT_RAD_S, MAIN_RAD_S = 140.0, 90.0
-Course = Callable[[int], float]
+Trajectory = Callable[[int], float]
 """Of a time in ms since the log's beginning."""
 
 
@@ -56,14 +56,14 @@ def turning(teeth: int, rad_s: float, seconds: float) -> Wheel:
 class Box:
     """What a log was made of. Sleeves in m; clutch 0 open to 1 closed; pressures in Pa."""
 
-    first_second: Course = lambda _: 0.0
-    third: Course = lambda _: 0.0
-    split: Course = lambda _: STROKE_M
-    range_: Course = lambda _: -STROKE_M
-    clutch: Course = lambda _: 0.0
-    brake_pa: Course = lambda _: 1e5
-    supply_pa: Course = lambda _: 9e5
-    engine_rad_s: Course = lambda _: 100.0
+    first_second: Trajectory = lambda _: 0.0
+    third: Trajectory = lambda _: 0.0
+    split: Trajectory = lambda _: STROKE_M
+    range_: Trajectory = lambda _: -STROKE_M
+    clutch: Trajectory = lambda _: 0.0
+    brake_pa: Trajectory = lambda _: 1e5
+    supply_pa: Trajectory = lambda _: 9e5
+    engine_rad_s: Trajectory = lambda _: 100.0
     commands: dict[int, ValveCommand] = field(default_factory=dict)
     """By the ms at which each is sent."""
     without_edges: tuple[int, int] = (0, 0)
@@ -89,7 +89,7 @@ class Box:
                     EdgesMainFall(**capture(main.fall_us, 0, at_us)),  # type: ignore[arg-type]
                 ]
             stamp = at_us % (1 << 32)
-            samples = [tuple(course(ms - k) for k in range(10)) for course in
+            samples = [tuple(trajectory(ms - k) for k in range(10)) for trajectory in
                        (self.first_second, self.third, self.split, self.range_)]  # fmt: skip
             messages += [
                 SleevesMain(stamp, 0, samples[0], samples[1]),
@@ -103,11 +103,11 @@ class Box:
         return reader.finish()
 
 
-def within(from_ms: int, to_ms: int, inside: float, outside: float) -> Course:
+def within(from_ms: int, to_ms: int, inside: float, outside: float) -> Trajectory:
     return lambda ms: inside if from_ms <= ms < to_ms else outside
 
 
-def out_of_gear(from_ms: int, to_ms: int) -> Course:
+def out_of_gear(from_ms: int, to_ms: int) -> Trajectory:
     """In first gear but for this time."""
     return within(from_ms, to_ms, 0.0, -STROKE_M)
 
@@ -169,20 +169,20 @@ def test_a_run_goes_with_the_brake_s_switches_and_pressures_and_the_mean_of_the_
     ],
     ids=["closed clutch", "no split", "a sleeve near its teeth", "edges lost"],
 )
-def test_it_is_no_run_in_neutral_with(change: dict[str, Course]) -> None:
+def test_it_is_no_run_in_neutral_with(change: dict[str, Trajectory]) -> None:
     assert not list(Box(out_of_gear(500, 900), **change).read(1.4).runs)  # type: ignore[arg-type]
 
 
 def test_a_splitter_that_changes_spoils_a_run_and_begins_another() -> None:
     """The layshaft was not free to its end; while the splitter stands between its steps there is no
     run."""
-    split: Course = lambda ms: STROKE_M if ms < 700 else (0.0 if ms < 760 else -STROKE_M)  # noqa: E731
+    split: Trajectory = lambda ms: STROKE_M if ms < 700 else (0.0 if ms < 760 else -STROKE_M)  # noqa: E731
     run = the_run(Box(out_of_gear(400, 1_200), split=split).read(1.6))
     assert run.start_us - BEGIN_US == 770_000
     assert run.split is Split.LOW
 
 
-def pushed(begun_ms: int, rest_m: float = 0.0, direction: int = 1) -> Course:
+def pushed(begun_ms: int, rest_m: float = 0.0, direction: int = 1) -> Trajectory:
     """A sleeve at rest that takes 40 ms to its stroke's end, and comes back after 600 ms."""
 
     def at(ms: int) -> float:
@@ -202,7 +202,7 @@ def second_on(ms: int, action: ValveAction = ValveAction.ON_AT) -> dict[int, Val
     return {ms - 10: on, ms + 290: off}
 
 
-def test_a_stroke_is_told_from_its_valve_s_activation_on_by_its_way_from_rest() -> None:
+def test_a_stroke_is_reported_from_its_valve_s_activation_on_by_its_way_from_rest() -> None:
     """Each sample once, a millisecond apart; the sensor's offset is what it showed in neutral."""
     box = Box(pushed(520, 4e-4), commands=second_on(500), supply_pa=lambda ms: 9e5 + 10.0 * ms)
     content = box.read(1.0)
@@ -222,7 +222,7 @@ def test_a_stroke_is_told_from_its_valve_s_activation_on_by_its_way_from_rest() 
     assert content.inexact == 0
 
 
-def test_strokes_of_one_sleeve_are_told_with_how_long_it_has_rested() -> None:
+def test_strokes_of_one_sleeve_are_reported_with_how_long_it_has_rested() -> None:
     """The other way, too: that is first gear."""
     first = ValveCommand(main_first_action=ValveAction.ON_AT,
                          main_first_time_us=BEGIN_US + 1_300_300)  # fmt: skip
@@ -240,11 +240,11 @@ def test_a_stroke_whose_valve_was_switched_at_once_is_counted_alone() -> None:
     assert content.inexact == 1
 
 
-def closing_clutch(begun_ms: int, ms_taken: int) -> Course:
+def closing_clutch(begun_ms: int, ms_taken: int) -> Trajectory:
     return lambda ms: min(max((ms - begun_ms) / ms_taken, 0.0), 1.0)
 
 
-def test_a_clutch_that_closes_is_told_with_the_engine_beside_it() -> None:
+def test_a_clutch_that_closes_is_reported_with_the_engine_beside_it() -> None:
     box = Box(clutch=closing_clutch(500, 200), engine_rad_s=lambda ms: 150.0 - ms // 50)
     (closing,) = box.read(1.0).closings
     ms = (closing.time_us - BEGIN_US) / 1000.0

@@ -51,7 +51,7 @@ def test_where_the_system_does_not_tell_all_time_counts() -> None:
     assert own.seconds == pytest.approx(5.0)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what a process has had")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says what a process has had")
 def test_the_kernel_tells_what_a_process_has_had() -> None:
     before = taken(os.getpid())
     begun_s = time.process_time()

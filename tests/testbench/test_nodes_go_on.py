@@ -69,7 +69,7 @@ def is_of(name: str, message: can.Message | None) -> bool:
 
 
 def hear(process: subprocess.Popen[bytes], bus: can.BusABC, name: str, count: int = 5) -> None:
-    """Waits for so many frames of a node, as long as it lives."""
+    """Waits for this many frames of a node, as long as it lives."""
     while count:
         count -= is_of(name, bus.recv(1.0))
         assert process.poll() is None, f"ended with {process.returncode}"

@@ -181,7 +181,7 @@ def test_a_strategy_that_does_not_aim_acts_from_the_first_shift(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("\nclass", "\nimport nowhere_to_be_found\nclass", ":2: ModuleNotFoundError"),
         ("\nclass Mine:", "\nclass Mine", ":2: SyntaxError"),
@@ -195,7 +195,7 @@ def test_a_strategy_that_does_not_aim_acts_from_the_first_shift(tmp_path: Path) 
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_by_file_and_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, reported: str
 ) -> None:
     name = written(tmp_path, old, new)
     for command in (RUN, ("campaign", "--preset", "thesis", "--runs", "1")):
@@ -204,7 +204,7 @@ def test_a_file_that_cannot_be_used_is_refused_by_file_and_line(
         assert out == ""
         assert "Traceback" not in err
         assert str(tmp_path / "mine.py:") in err
-        assert told in err
+        assert reported in err
 
 
 def test_a_file_that_is_not_there_is_named(
@@ -215,7 +215,7 @@ def test_a_file_that_is_not_there_is_named(
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("return None", "return 1 / 0", ":11: ZeroDivisionError: division by zero"),
         pytest.param(
@@ -253,13 +253,13 @@ def test_a_file_that_is_not_there_is_named(
     ],
 )
 def test_a_mistake_in_mid_shift_is_named_by_file_and_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, reported: str
 ) -> None:
     code, values = simulated(tmp_path, written(tmp_path, old, new), "--shifts", "1")
     err = capsys.readouterr().err
     assert code == 1
     assert "Traceback" not in err
-    assert f"own strategy: {tmp_path / 'mine.py'}{told}" in err
+    assert f"own strategy: {tmp_path / 'mine.py'}{reported}" in err
     (row,) = values["shifts"]
     assert (row["result"], row["fault"]) == ("ended_in_neutral", "synchronise_failed")
     assert row["attempts"] == 0, "no sleeve was fired"
@@ -317,5 +317,5 @@ def test_a_mistake_in_a_campaign_is_named_too(
     assert values["failed"] == []
     assert values["strategies"]["speed_window"]["given_up"] == 0
     assert values["strategies"][name]["given_up"] == 1
-    told = "mine.py:11: ZeroDivisionError: division by zero (1 shift ended of it)"
-    assert told in capsys.readouterr().err
+    reported = "mine.py:11: ZeroDivisionError: division by zero (1 shift ended of it)"
+    assert reported in capsys.readouterr().err

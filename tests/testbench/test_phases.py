@@ -1,4 +1,4 @@
-"""Where the time of a shift goes, from the moments the rig tells; and the bound beside it."""
+"""Where the time of a shift goes, from the moments the rig reports; and the bound beside it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ UP = (
 )  # fmt: skip
 
 
-def told(moments: tuple[tuple[E, float], ...], start_us: int = 0) -> list[ReferenceEngagement]:
+def reported(moments: tuple[tuple[E, float], ...], start_us: int = 0) -> list[ReferenceEngagement]:
     return [
         ReferenceEngagement((start_us + round(1000 * at_ms)) % WRAP_US, event)
         for event, at_ms in moments
@@ -29,7 +29,9 @@ def told(moments: tuple[tuple[E, float], ...], start_us: int = 0) -> list[Refere
 
 
 def phases(moments: tuple[tuple[E, float], ...], end_ms: float, start_us: int = 0) -> dict:
-    found = phases_of(told(moments, start_us), start_us, (start_us + round(1e3 * end_ms)) % WRAP_US)
+    found = phases_of(
+        reported(moments, start_us), start_us, (start_us + round(1e3 * end_ms)) % WRAP_US
+    )
     return {name: value for name, value in vars(found).items() if value is not None}
 
 
@@ -82,7 +84,7 @@ def test_a_shift_without_any_moment_is_all_waiting() -> None:
 
 
 def test_the_clutch_closes_from_the_lock_on_or_from_the_end() -> None:
-    assert closing_since_us(told(UP), 368_000) == 352_000
+    assert closing_since_us(reported(UP), 368_000) == 352_000
     assert closing_since_us([], 368_000) == 368_000
 
 

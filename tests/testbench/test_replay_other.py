@@ -31,11 +31,11 @@ def replayed(
     run = ["simulate", "--preset", "thesis", "--strategy", RECORDED, "--shifts", str(SHIFTS)]
     run += ["--seed", "3"]  # whose flanks its first two shifts tell
     assert main([*run, "--log", str(log), "--json", str(made)]) == 0
-    told = folder / "replay.json"
-    asked = ["replay", str(log), "--strategy", OTHER, "--json", str(told)]
+    reported = folder / "replay.json"
+    asked = ["replay", str(log), "--strategy", OTHER, "--json", str(reported)]
     assert main([*asked, "--report", str(page)]) == 0
     simulated = json.loads(made.read_text())
-    return simulated, json.loads(told.read_text()), page.read_text(encoding="utf-8")
+    return simulated, json.loads(reported.read_text()), page.read_text(encoding="utf-8")
 
 
 def test_every_recorded_shift_has_its_row_as_the_log_has_it(
@@ -100,12 +100,12 @@ def test_the_page_counts_outcomes_for_the_logs_strategy_alone(
         names = [trace["name"] for trace in shift["data"]]
         assert "contact, truth" in names
         assert "replayed" not in shift["title"]
-        told = [row for row in shift["account"] if "would have" in row[0]]
-        assert told
-        assert all(row[3] == "not in the log" for row in told)
+        reported = [row for row in shift["account"] if "would have" in row[0]]
+        assert reported
+        assert all(row[3] == "not in the log" for row in reported)
 
 
-def test_both_courses_are_drawn_with_the_point_where_they_part(
+def test_both_trajectories_are_drawn_with_the_point_where_they_part(
     replayed: Replayed,
 ) -> None:
     _, values, page = replayed

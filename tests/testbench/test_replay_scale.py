@@ -83,14 +83,14 @@ def test_several_at_a_time_give_what_one_after_the_other_gives(
     for header in logs[SHORT].parent.glob("header-*.json"):
         shutil.copy(header, tmp_path)
     names = [str(logs[SHORT]), str(half)]
-    told = {}
+    reported = {}
     for jobs in ("1", "2"):
         out = tmp_path / f"{jobs}.json"
         given = ["replay", *names, "--verify", "--jobs", jobs, "--json", str(out)]
         assert main(given) == 0
-        told[jobs] = out.read_text(), capsys.readouterr().out
-    assert told["1"] == told["2"]
-    values = json.loads(told["1"][0])
+        reported[jobs] = out.read_text(), capsys.readouterr().out
+    assert reported["1"] == reported["2"]
+    values = json.loads(reported["1"][0])
     assert [replay["log"] for replay in values["replays"]] == names
     assert [len(replay["shifts"]) for replay in values["replays"]] == [SHORT, 0]
 

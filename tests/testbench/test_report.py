@@ -42,10 +42,10 @@ TELL_READ = """<script>
 addEventListener("load", () => {
   const before = read.length;
   document.querySelector("#shift-1-150 a").click();
-  const told = [before, read.length, document.getElementById("title").textContent];
+  const reported = [before, read.length, document.getElementById("title").textContent];
   const place = document.createElement("pre");
   place.id = "read-back";
-  place.textContent = told.join("|");
+  place.textContent = reported.join("|");
   document.body.append(place);
 });
 </script>"""
@@ -299,5 +299,5 @@ def test_of_two_hundred_shifts_the_page_reads_the_one_that_it_draws(
     path.write_text(text, encoding="utf-8")
     shown, complaints = browse(path.as_uri(), tmp_path)
     assert complaints == []
-    (told,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
-    assert told == "2|3|number 150"
+    (reported,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
+    assert reported == "2|3|number 150"

@@ -46,7 +46,7 @@ LATE_REFUSAL = outcome(ShiftResult.REFUSED, FaultCode.SPEED_STALE)
 
 class Bench(can.BusABC):
     """A bus on which `answers` reply to one request each, the last one to all further ones, and
-    the controller tells its status every 10 ms of its time, `speed` times as fast as the wall."""
+    the controller reports its status every 10 ms of its time, `speed` times as fast as the wall."""
 
     def __init__(self, *answers: list[Message], speed: float = 1.0, speaks: bool = True) -> None:
         self.now_s = 500.0
@@ -97,7 +97,7 @@ def ask(
     return code, printed, said
 
 
-def test_a_gear_that_engages_is_told_with_its_time(monkeypatch, capsys) -> None:
+def test_a_gear_that_engages_is_reported_with_its_time(monkeypatch, capsys) -> None:
     code, printed, said = ask(Bench([ENGAGED]), monkeypatch, capsys)
     assert (code, said) == (Exit.DONE, "")
     assert printed.startswith("8 -> 10: engaged after 440 ms")

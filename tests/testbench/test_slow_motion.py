@@ -43,10 +43,10 @@ addEventListener("load", () => {
     slider.dispatchEvent(new Event("input"));
     read.push([Number(slider.value), degrees()]);
   }
-  const told = document.createElement("pre");
-  told.id = "read-back";
-  told.textContent = JSON.stringify(read);
-  document.body.append(told);
+  const reported = document.createElement("pre");
+  reported.id = "read-back";
+  reported.textContent = JSON.stringify(read);
+  document.body.append(reported);
 });
 </script>"""
 FRAMES = """<script>
@@ -91,8 +91,8 @@ def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path:
     page.write_text(page.read_text() + script.replace("PITCH", str(PITCH_DEG)))
     shown, console = browse(page.as_uri(), tmp_path)
     assert console == []
-    (told,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
-    (_, at_contact), *drawn = json.loads(told)
+    (reported,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
+    (_, at_contact), *drawn = json.loads(reported)
     assert row.phase_error_deg is not None
     assert at_contact == pytest.approx(row.phase_error_deg, abs=0.01)
     for (time_ms, drawn_deg), (asked_ms, true_deg) in zip(drawn, expected.items(), strict=True):

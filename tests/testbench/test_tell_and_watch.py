@@ -46,16 +46,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, 
     return log, json.loads(rows.read_text())["shifts"]
 
 
-def told(log: Path) -> list[Line]:
+def reported(log: Path) -> list[Line]:
     story = Story()
     return [line for time_s, frame in read_logs([log]) for line in story.receive(time_s, frame)]
 
 
-def test_each_shift_is_told_from_its_request_to_its_end_with_the_rows_own_figures(
+def test_each_shift_is_reported_from_its_request_to_its_end_with_the_rows_own_figures(
     run: tuple[Path, list[dict[str, Any]]],
 ) -> None:
     log, rows = run
-    lines = told(log)
+    lines = reported(log)
     requests = [line.words for line in lines if line.who == "driver"]
     assert requests == [f"asks for gear {row['to']}" for row in rows]
     ends = [line.words for line in lines if re.match(r"gear \d+ is in", line.words)]
@@ -75,10 +75,10 @@ def test_each_shift_is_told_from_its_request_to_its_end_with_the_rows_own_figure
 def test_nothing_is_lost_in_a_run_without_faults(
     run: tuple[Path, list[dict[str, Any]]],
 ) -> None:
-    assert [line for line in told(run[0]) if line.who == "bus"] == []
+    assert [line for line in reported(run[0]) if line.who == "bus"] == []
 
 
-def test_a_message_that_falls_silent_is_told_once_and_told_again_when_it_is_back(
+def test_a_message_that_falls_silent_is_reported_once_and_reported_again_when_it_is_back(
     run: tuple[Path, list[dict[str, Any]]],
 ) -> None:
     can_id = CODECS["SleevesMain"].spec.can_id
@@ -153,7 +153,7 @@ def test_a_terminal_s_lines_fit_into_its_width_and_a_pipe_has_one_line_an_event(
     assert joined == " ".join(" ".join(piped).split())
 
 
-def test_a_torn_log_is_told_up_to_its_defect_and_ends_with_2(
+def test_a_torn_log_is_reported_up_to_its_defect_and_ends_with_2(
     run: tuple[Path, list[dict[str, Any]]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = run[0].read_text().splitlines(keepends=True)
@@ -221,7 +221,7 @@ def test_a_silent_bus_lets_messages_grow_old_and_red() -> None:
     assert any("red" in str(span.style) for span in aged.spans)
 
 
-def test_requests_of_the_same_gear_are_told_once_until_the_shift_has_ended() -> None:
+def test_requests_of_the_same_gear_are_reported_once_until_the_shift_has_ended() -> None:
     story, bench = Story(), Transmitter(Node.BENCH)
     for k in range(5):
         story.receive(k / 10, bench.encode(TC1(requested_gear=5)))

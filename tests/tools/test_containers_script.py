@@ -65,7 +65,7 @@ def test_what_is_missing_is_named(podman: Machine) -> None:
     assert "podman-compose is missing" in done.stderr
 
 
-def test_who_is_not_root_is_told(podman: Machine) -> None:
+def test_who_is_not_root_is_reported(podman: Machine) -> None:
     podman.program("id", "echo 1001")
     done = podman.run("tools/test-containers")
     assert done.returncode == 3

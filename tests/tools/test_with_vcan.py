@@ -97,7 +97,7 @@ def test_nobody_needs_root_where_nothing_is_missing(tmp_path: Path) -> None:
     assert not machine.called("sudo")
 
 
-def test_who_may_not_install_is_told_what_root_should(tmp_path: Path) -> None:
+def test_who_may_not_install_is_reported_what_root_should(tmp_path: Path) -> None:
     machine = vcan_machine(tmp_path, user="nobody", system="ubuntu")
     done = machine.run("tools/with-vcan", "--install", "true")
     assert done.returncode == 125

@@ -123,7 +123,7 @@ def install(machine: Machine, *packages: str) -> None:
             shutil.copy2(machine.folder / "packed" / name, machine.bin / name)
 
 
-# Compiles the modules of one folder, with headers that are told where they are.
+# Compiles the modules of one folder, with headers that are reported where they are.
 MAKE = """[ -e "$FACTS/no-space" ] && { echo 'No space left on device' >&2; exit 2; }
 for word; do case $word in M=*) folder=${word#M=} ;; esac; done
 grep -q "^include $2-common/" "$2/Makefile" || { echo 'no headers' >&2; exit 2; }

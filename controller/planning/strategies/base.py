@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple, Protocol
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor, LastLook
+from meshpoint.controller.planning.gear_predictor import GearPredictor, LastMeasurement
 from meshpoint.controller.settings import MS_IN_US, Timing
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
@@ -56,7 +56,7 @@ class EngagementStrategy(Protocol):
         self, predictor: GearPredictor, now_us: int, contact_us: int, earliest_us: int
     ) -> bool:
         """Whether a sleeve that was fired to meet its gear at `contact_us`, and has not moved yet,
-        should be called back, to be fired anew at `earliest_us` or later.
+        should be recalled, to be fired anew at `earliest_us` or later.
 
         Asked only of a strategy that aims, and while the phase is known."""
 
@@ -78,20 +78,20 @@ def release_for_slip(
 
 
 def settle_time_us(sheet: GearboxSheet, time_constants: float) -> float:
-    """From a release until so many time constants of the brake's pressure have passed."""
+    """From a release until this many time constants of the brake's pressure have passed."""
     brake = sheet.brake
     return SECOND_US * (brake.valve_delay_s + time_constants * brake.time_constant_s)
 
 
-def told_until_called_back_us(sheet: GearboxSheet, timing: Timing) -> int:
+def known_until_recall_us(sheet: GearboxSheet, timing: Timing) -> int:
     """How much later than the step that plans the earliest firing the last step comes in which that
-    sleeve can be called back: the command's lead and the valve's delay, in whole ticks."""
+    sleeve can be recalled: the command's lead and the valve's delay, in whole ticks."""
     moves_us = timing.lead_ms * MS_IN_US + round(sheet.sleeve.valve_delay_s * SECOND_US)
     return max(0, moves_us - BUS_US) // timing.tick_us * timing.tick_us
 
 
-def last_look(sheet: GearboxSheet, timing: Timing, delay_us: int) -> LastLook:
-    """When a sleeve that takes `delay_us` to its gear can last be called back: until its valve's
+def last_measurement(sheet: GearboxSheet, timing: Timing, delay_us: int) -> LastMeasurement:
+    """When a sleeve that takes `delay_us` to its gear can last be recalled: until its valve's
     delay is over it has not moved."""
     moves_us = round(sheet.sleeve.valve_delay_s * SECOND_US)
-    return LastLook(max(0, delay_us - moves_us) + BUS_US + LATE_US, timing.tick_us)
+    return LastMeasurement(max(0, delay_us - moves_us) + BUS_US + LATE_US, timing.tick_us)

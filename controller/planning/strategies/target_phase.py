@@ -15,22 +15,22 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajecto
 from meshpoint.controller.planning.plan_kernels import (
     CONTACT_SERIES,
     TERMS,
-    best_course,
+    best_trajectory,
     cheapest,
 )
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
-    last_look,
+    known_until_recall_us,
+    last_measurement,
     release_for_slip,
     settle_time_us,
-    told_until_called_back_us,
 )
 from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 
-LOOK_AHEAD_US: Final = 300_000.0
+MEASUREMENT_AHEAD_US: Final = 300_000.0
 """Contacts of a release are looked at so far ahead: in that time the slip falls out of its
 window;"""
 FIRING_AHEAD_US: Final = 600_000.0
@@ -44,7 +44,7 @@ STEP_OF_WINDOW: Final = 0.07
 """in one of them the phase moves by no more than this share of a pitch, and the slip by no more
 than this share of the slips allowed."""
 FINE_SHARE: Final = 20
-"""A coarse step has so many fine ones, which are looked at around the best of the coarse ones."""
+"""A coarse step has this many fine ones, which are looked at around the best of the coarse ones."""
 FALL_US: Final = 20_000
 """The rate at which slip falls without the brake is taken over this time."""
 NEAR_US: Final = 50_000
@@ -54,7 +54,7 @@ LATER_SHARE: Final = 0.7
 """Releases are looked at so much earlier and later than the unaimed one that they move the phase at
 contact by these shares of a pitch: together by more than a pitch;"""
 RELEASES: Final = 14
-"""so many of them, and then more closely around the best;"""
+"""this many of them, and then more closely around the best;"""
 CLOSE_SHARE: Final = 5
 """in steps smaller by this,"""
 CLOSE_OF_GAP: Final = 0.15
@@ -69,7 +69,7 @@ PROBE_US: Final = 500
 """How far a release moves the phase is found by moving it so much."""
 CLEAR_US: Final = 10_000
 """The earliest firing is so much less before the release than the sleeve takes to its gear: it
-meets the gear when the brake has been let go."""
+meets the gear when the brake has been released."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -90,7 +90,7 @@ class TargetPhase:
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
         self._sheet, self._timing = sheet, settings.timing
-        self._told_us = told_until_called_back_us(sheet, settings.timing)
+        self._reported_us = known_until_recall_us(sheet, settings.timing)
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -118,7 +118,7 @@ class TargetPhase:
         return self._least(predictor, now_us, later, np.full(count, variances[0]))[1] < stays
 
     def _steps(
-        self, predictor: GearPredictor, release_us: int, ahead_us: float = LOOK_AHEAD_US
+        self, predictor: GearPredictor, release_us: int, ahead_us: float = MEASUREMENT_AHEAD_US
     ) -> tuple[float, int]:
         """Length and number of the coarse steps of contacts: small where teeth are small, or where
         drag soon takes the slip away."""
@@ -181,7 +181,7 @@ class TargetPhase:
         first = Trajectory(firsts_us[0], step_us, *found[0])
         spread, settled = self._spread_at_release(predictor, first, now_us, releases_us[0])
         waits_s = (np.array(firsts_us) - now_us) / SECOND_US
-        chosen, index, cost = best_course(
+        chosen, index, cost = best_trajectory(
             found, settled, waits_s, _contacts(first, now_us), self._terms(predictor), spread
         )
         contact_us = round(firsts_us[chosen] + index * step_us)
@@ -189,9 +189,9 @@ class TargetPhase:
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
-        look = last_look(self._sheet, self._timing, predictor.delay_us)
+        measurement = last_measurement(self._sheet, self._timing, predictor.delay_us)
         first_us, step_us, phase, _ = trajectory
-        settled = predictor.told_variances(first_us, step_us, phase.size, now_us, look)
+        settled = predictor.reported_variances(first_us, step_us, phase.size, now_us, measurement)
         variances = settled + self._reference_variance
         best, _ = self._least(predictor, now_us, trajectory, variances)
         return trajectory.first_us + best * trajectory.step_us
@@ -208,10 +208,10 @@ class TargetPhase:
         self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int
     ) -> tuple[float, Vector]:
         """Standard deviation of the phase at the first contact as it is predicted now, and the
-        variances that are left when the sleeve for each contact can last be called back."""
+        variances that are left when the sleeve for each contact can last be recalled."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        before = round((max(0.0, first_us - firing_us) + self._told_us) / step_us)
+        before = round((max(0.0, first_us - firing_us) + self._reported_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
         now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance

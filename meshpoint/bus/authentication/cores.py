@@ -46,7 +46,7 @@ class VerifyingCore(AroundCore[Core]):
     def __init__(self, core: Core, keys: CommandKeys, draw: Callable[[], int]) -> None:
         super().__init__(core)
         self.verifier = CommandVerifier(keys, draw)
-        self._refused_told = 0
+        self._refused_reported = 0
 
     def receive(self, frame: Frame) -> None:
         """Commands wait here for their proof."""
@@ -59,7 +59,7 @@ class VerifyingCore(AroundCore[Core]):
         challenge = self.verifier.challenge(now_us)
         refused = self.verifier.refused
         events = step.events
-        if challenge is not None and refused > self._refused_told:
-            new, self._refused_told = refused - self._refused_told, refused
+        if challenge is not None and refused > self._refused_reported:
+            new, self._refused_reported = refused - self._refused_reported, refused
             events = [*events, f"{new} proofs of commands refused: forged, late or damaged"]
         return Step(step.frames if challenge is None else [*step.frames, challenge], events)

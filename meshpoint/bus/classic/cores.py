@@ -23,7 +23,7 @@ CHANGED_LEAST_US: Final = 50_000
 """The controller's status is sent sooner than its cycle where state or gear has changed, but not
 sooner than this after the one before."""
 PREDICTION_CYCLE_US: Final = 200_000
-"""A prediction that comes to the same decision as the one before is sent so often at most."""
+"""A prediction that comes to the same decision as the one before is sent this often at most."""
 PARTS_A_STEP: Final = 2
 """A node's transmit queue is first in, first out: more frames of the lowest priority at once would
 hold up its next commands or reads."""
@@ -280,13 +280,13 @@ class ClassicListenerCore(_UnpackingCore):
 
 def listener_unpacker(sheet: GearboxSheet) -> Unpacker:
     """For whoever wants all of a classic bus: sensors, commands, states, outcomes and events."""
-    return Unpacker(SensorIntake(sheet), OrderIntake(), *map(PartsIntake, _TOLD))
+    return Unpacker(SensorIntake(sheet), OrderIntake(), *map(PartsIntake, _REPORTED))
 
 
-_TOLD: Final = ("ControllerStatus", "ShiftPrediction", "ShiftOutcome", "ReferenceEngagement")
+_REPORTED: Final = ("ControllerStatus", "ShiftPrediction", "ShiftOutcome", "ReferenceEngagement")
 
 
 def bench_unpacker() -> Unpacker:
     """For whoever reads outcomes, the rig's events and the controller's state off a bus, whichever
     profile it has."""
-    return Unpacker(*map(PartsIntake, _TOLD), passes_fd=True)
+    return Unpacker(*map(PartsIntake, _REPORTED), passes_fd=True)

@@ -14,7 +14,7 @@ STAMPS: Final = 27
 A_FRAME: Final = 3
 """Edges that a frame holds."""
 MOST_IN_FULL: Final = 9
-"""Up to so many new edges are all sent with their read; of more, the one or two over whole frames
+"""Up to this many new edges are all sent with their read; of more, the one or two over whole frames
 wait for the next read, which saves one frame in six at the highest speed."""
 AHEAD_US: Final = 10_240
 """An edge may be so much younger than the newest read that was heard, whose frame may be lost."""

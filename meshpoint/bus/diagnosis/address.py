@@ -57,9 +57,11 @@ class Name:
 class AddressClaim:
     """Claims, defends, gives way."""
 
-    def __init__(self, name: Name, address: int = CONTROLLER, told_as: int | None = None) -> None:
-        """told_as: what the address is called in words, where the bus has another one."""
-        self._told_as = address if told_as is None else told_as
+    def __init__(
+        self, name: Name, address: int = CONTROLLER, reported_as: int | None = None
+    ) -> None:
+        """reported_as: what the address is called in words, where the bus has another one."""
+        self._reported_as = address if reported_as is None else reported_as
         self.name = name
         self.address = address
         self.is_held = True
@@ -80,13 +82,16 @@ class AddressClaim:
             return None  # our own, returned by the interface
         self._claims += 1
         if other > self.name.number:
-            return f"another node claims address {self._told_as}: ours is kept, its NAME is greater"
+            return (
+                f"another node claims address {self._reported_as}: ours is kept, its NAME is "
+                "greater"
+            )
         was_held, self.is_held = self.is_held, False
         if not was_held:
             return None
         return (
-            f"address {self._told_as} belongs to another node, whose NAME is smaller: this one is "
-            "silent from now on"
+            f"address {self._reported_as} belongs to another node, whose NAME is smaller: this "
+            "one is silent from now on"
         )
 
     def take_frames(self) -> list[Frame]:

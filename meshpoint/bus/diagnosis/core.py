@@ -48,11 +48,11 @@ class DiagnosedCore:
     """Of the call shape of the core inside it."""
 
     def __init__(
-        self, core: Core, version: str, name: Name | None = None, told_as: int = CONTROLLER
+        self, core: Core, version: str, name: Name | None = None, reported_as: int = CONTROLLER
     ) -> None:
-        """told_as: the controller's address on the bus, for what is said of it."""
+        """reported_as: the controller's address on the bus, for what is said of it."""
         self._core = core
-        self._claim = AddressClaim(name or Name(), told_as=told_as)
+        self._claim = AddressClaim(name or Name(), reported_as=reported_as)
         self.memory = TroubleMemory()
         """Trouble codes."""
         self._messages = DiagnosticMessages(self.memory)
@@ -83,9 +83,9 @@ class DiagnosedCore:
         if not frame.is_extended or group_of(frame.can_id) not in GROUPS:
             self._core.receive(frame)
             return
-        told = self._claim.hear(frame)
-        if told is not None:
-            self._events.append(told)
+        reported = self._claim.hear(frame)
+        if reported is not None:
+            self._events.append(reported)
         group = group_of(frame.can_id)
         if group == REQUEST:
             asks_claim = frame.data[:3] == CLAIM.to_bytes(3, "little")

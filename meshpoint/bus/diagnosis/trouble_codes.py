@@ -103,7 +103,7 @@ class TroubleMemory:
         return [code for code in self.codes if not code.is_active]
 
     def clear(self, active_too: bool = False) -> None:
-        """Forgets the stored ones. An active fault that is still there is told again: with
+        """Forgets the stored ones. An active fault that is still there is reported again: with
         active_too its count begins anew."""
         kept = self._active
         count = self._counts.get(kept, 0)

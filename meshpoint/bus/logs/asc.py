@@ -98,9 +98,9 @@ def _classic_frame(match: re.Match[str], base: int, position: str) -> Frame | Sk
 
 def _fd_frame(match: re.Match[str], base: int, position: str) -> Frame:
     length, rest = int(match["length"]), match["rest"].split()
-    told = _LENGTH_OF_DLC[int(match["dlc"], 16)]
-    if length != told:
-        raise DefectError(position, f"{length} data bytes, its data length code says {told}")
+    reported = _LENGTH_OF_DLC[int(match["dlc"], 16)]
+    if length != reported:
+        raise DefectError(position, f"{length} data bytes, its data length code says {reported}")
     if len(rest) - length not in _FD_FIELDS:
         raise DefectError(position, f"{len(rest)} fields from the data on, not {length} and 6 to 8")
     return _frame(match, rest[:length], base, True, position)

@@ -143,7 +143,7 @@ def open_log(
 ) -> LogWriter | RotatingLog:
     """A log that is flushed every second.
 
-    target: a file, its format told by its ending; or a folder, when it is one or ends with a
+    target: a file, its format known by its ending; or a folder, when it is one or ends with a
         slash: then the log is a candump log named by the time of now.
     max_bytes: rotate before a file grows over this.
 

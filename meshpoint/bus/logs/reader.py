@@ -30,9 +30,9 @@ MAX_UNPACKED_BYTES = 16 * 1024**3
 MAX_LOG_BYTES = 4 * 1024**3
 UNQUESTIONED_BYTES = 16 * 1024**2
 MOST_TIMES_PACKED = 200
-"""Beyond the first of these bytes a packed log may unpack to so many times its size. gzip packs one
-repeated byte to a 1000th, a log of one frame over and over to a 20th, one of our shifts in `.asc`
-to an 8th."""
+"""Beyond the first of these bytes a packed log may unpack to this many times its size. gzip packs
+one repeated byte to a 1000th, a log of one frame over and over to a 20th, one of our shifts in
+`.asc` to an 8th."""
 ROOM_LEFT_BYTES = 256 * 1024**2
 _READ_ANYWHERE = (".blf", ".mf4")
 _BLOCK_BYTES = 1024 * 1024
@@ -144,7 +144,7 @@ class LogReader:
 def read_log(
     path: str | os.PathLike[str], max_bytes: int = MAX_LOG_BYTES, bus: str | None = None
 ) -> LogReader:
-    """Reads a log, its format told by its ending (`READ_FORMATS`, and `.gz` behind it); one larger
+    """Reads a log, its format known by its ending (`READ_FORMATS`, and `.gz` behind it); one larger
     than `max_bytes` is refused. bus: of a log of several, the one that is wanted. Errors are raised
     as LogError, when the reader is iterated."""
     return LogReader(Path(path), max_bytes, bus)

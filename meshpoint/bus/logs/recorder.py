@@ -39,7 +39,7 @@ _Writer = can.CanutilsLogWriter | can.ASCWriter | can.BLFWriter
 
 
 class LogWriter(Closing):
-    """Writes one log; its format is told by its ending (`meshpoint.bus.logs.reader.FORMATS`). A
+    """Writes one log; its format is known by its ending (`meshpoint.bus.logs.reader.FORMATS`). A
     file that is there is replaced.
 
     channel: the name of the bus in the log.

@@ -1,7 +1,7 @@
 """Reads PEAK's text logs (TRC), versions 1.0 to 2.1.
 
 Written anew because python-can's reader passes over lines that it does not understand. Its writer
-leaves CAN FD frames out, others write them as classic ones: both are told.
+leaves CAN FD frames out, others write them as classic ones: both are reported.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _HEADER: Final = re.compile(r";\$(?P<key>FILEVERSION|STARTTIME|COLUMNS)\s*=\s*(?
 
 def trc_entries(file: BinaryIO, buses: Buses) -> Entries:
     """Every frame of a TRC log, time in seconds since the epoch, or since the start where that is
-    not told; raises DefectError."""
+    not reported; raises DefectError."""
     columns, start_s, is_lossy = COLUMNS["1.0"].split(","), 0.0, False
     for number, line in lines_of(file):
         position = f"line {number}"

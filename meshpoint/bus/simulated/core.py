@@ -50,7 +50,7 @@ AFTER_ACK_BITS: Final = 8
 """Acknowledge delimiter and end of frame: recessive, as the intermission is."""
 FREE_BITS: Final = 11
 RECOVERY_RUNS: Final = 128
-"""A node that is bus-off is back after so many runs of eleven recessive bits."""
+"""A node that is bus-off is back after this many runs of eleven recessive bits."""
 QUEUE_LENGTH: Final = 128
 
 
@@ -95,7 +95,7 @@ class _Node:
             insort(self.queue, waiting, key=_key)
 
 
-class _Course(NamedTuple):
+class _Outcome(NamedTuple):
     """What becomes of an attempt: how long its frame lasts, whole or until it is broken off (ns),
     why it is, and which receiver alone misses it."""
 
@@ -107,7 +107,7 @@ class _Course(NamedTuple):
 class _OnBus(NamedTuple):
     attempt: Attempt
     waiting: dict[int, _Waiting]
-    course: _Course
+    outcome: _Outcome
     end_ns: int
     """End of frame, or of the error flags."""
 
@@ -269,31 +269,31 @@ class CanBus:
             passive = any(self.state(number) is ErrorState.PASSIVE for number in winners)
             frame = frame._replace(error_state=frame.error_state or passive)
         attempt = Attempt(at_ns, tuple(winners), frame)
-        course = self._course_of(attempt, [head.frame for head in winners.values()])
+        outcome = self._outcome_of(attempt, [head.frame for head in winners.values()])
         self._count_recessive(at_ns)
-        end_ns = at_ns + course.lasts_ns
-        if course.fault is not None:
-            flags = FLAG_BITS if course.fault.seen_by is None else LATE_FLAG_BITS
+        end_ns = at_ns + outcome.lasts_ns
+        if outcome.fault is not None:
+            flags = FLAG_BITS if outcome.fault.seen_by is None else LATE_FLAG_BITS
             end_ns += flags * self._timing.nominal_ns
-        self._on_bus = _OnBus(attempt, winners, course, end_ns)
+        self._on_bus = _OnBus(attempt, winners, outcome, end_ns)
 
-    def _course_of(self, attempt: Attempt, sent: list[WireFrame]) -> _Course:
+    def _outcome_of(self, attempt: Attempt, sent: list[WireFrame]) -> _Outcome:
         nominal_ns = self._timing.nominal_ns
         whole_ns = frame_bits(attempt.frame).duration_ns(self._timing)
         others = [frame for frame in sent[1:] if frame != sent[0]]
         if others:
             bits = min(common_bits(sent[0], other) for other in others)
             until_ns = min(whole_ns, (bits + 1) * nominal_ns)
-            return _Course(until_ns, Fault(ErrorKind.COLLISION))
+            return _Outcome(until_ns, Fault(ErrorKind.COLLISION))
         fault = self.disturb(attempt)
         seen_by = None if fault is None else fault.seen_by
         if fault is not None and (seen_by is None or self.state(seen_by) is ErrorState.ACTIVE):
             share = min(max(fault.share, 0.0), 1.0)
-            return _Course(max(round(share * whole_ns), nominal_ns), fault)
+            return _Outcome(max(round(share * whole_ns), nominal_ns), fault)
         if not self._is_acknowledged(attempt.senders):
-            return _Course(whole_ns - AFTER_ACK_BITS * nominal_ns, Fault(ErrorKind.ACK))
+            return _Outcome(whole_ns - AFTER_ACK_BITS * nominal_ns, Fault(ErrorKind.ACK))
         # The flag of a receiver that is error-passive is recessive: the others get the frame.
-        return _Course(whole_ns, missed_by=seen_by)
+        return _Outcome(whole_ns, missed_by=seen_by)
 
     def _is_acknowledged(self, senders: tuple[int, ...]) -> bool:
         return len(senders) > 1 or any(
@@ -303,16 +303,16 @@ class CanBus:
 
     def _end(self, on_bus: _OnBus) -> None:
         """The frame is through, or its error flags are."""
-        attempt, waiting, course, end_ns = on_bus
+        attempt, waiting, outcome, end_ns = on_bus
         nominal_ns = self._timing.nominal_ns
-        senders, fault = attempt.senders, course.fault
+        senders, fault = attempt.senders, outcome.fault
         if fault is None:
             self._count_good(on_bus)
             self._recessive_ns = end_ns - AFTER_ACK_BITS * nominal_ns
             self._free_ns = end_ns + INTERMISSION_BITS * nominal_ns
             queued_ns = min(head.queued_ns for head in waiting.values())
             self._events.append(
-                Delivered(end_ns, senders, attempt.frame, queued_ns, course.missed_by)
+                Delivered(end_ns, senders, attempt.frame, queued_ns, outcome.missed_by)
             )
         else:
             self._count_bad(senders, fault)
@@ -337,7 +337,7 @@ class CanBus:
                 node.counters.sent()
                 if sent in node.queue:
                     node.queue.remove(sent)
-            elif number == on_bus.course.missed_by:
+            elif number == on_bus.outcome.missed_by:
                 node.counters.receive_error(first=False)
             elif node.counters.state is not ErrorState.BUS_OFF:
                 node.counters.received()

@@ -38,7 +38,7 @@ class BitTiming(NamedTuple):
 class WireFrame(NamedTuple):
     """A frame as its sender hands it to the wire.
 
-    `data` is padded to a length that the format can carry; a remote frame has none and tells the
+    `data` is padded to a length that the format can carry; a remote frame has none and reports the
     length asked for in `dlc`. `error_state` is the ESI bit of an FD frame.
     """
 
@@ -244,5 +244,5 @@ def _plain_bits(frame: WireFrame) -> str:
 
 
 def fd_length(length: int) -> int:
-    """The least length of an FD frame that holds so many bytes, 64 at most."""
+    """The least length of an FD frame that holds this many bytes, 64 at most."""
     return next(longer for longer in FD_LENGTHS if longer >= length)

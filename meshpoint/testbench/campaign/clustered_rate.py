@@ -60,7 +60,7 @@ def clustered_rate(hits: Vector, shifts: Vector) -> Rate:
 
 @lru_cache(maxsize=128)
 def _log_chance(missed: float, made: float) -> Vector:
-    """Logarithm of the chance that a run misses so many of the shifts made in it, (r, q), but for
+    """Logarithm of the chance that a run misses this many of the shifts made in it, (r, q), but for
     what does not depend on them."""
     size = ((1.0 - CORRELATIONS) / CORRELATIONS)[:, np.newaxis]
     a, b = MISSES * size, (1.0 - MISSES) * size

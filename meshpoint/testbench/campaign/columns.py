@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 Column = NDArray[Any]
 PENDING: Final = 1024
-"""So many records wait as objects until they become columns."""
+"""This many records wait as objects until they become columns."""
 AT_ONCE: Final = 16_384
-"""So many rows at a time are made, written or read."""
+"""This many rows at a time are made, written or read."""
 WIDTHS: Final[dict[type, type[np.generic]]] = {
     int: np.int64, float: np.float64, bool: np.bool_, str: np.int32,
 }  # fmt: skip
@@ -120,7 +120,7 @@ class ShiftColumns:
         self._filled = end
 
     def _reserve(self, more: int) -> int:
-        """Makes room for so many more rows; where they end."""
+        """Makes room for this many more rows; where they end."""
         end, room = self._filled + more, self._columns["seed"].size
         if end > room:
             room = max(end, room + room // 4, PENDING)
@@ -217,7 +217,7 @@ class Shifts:
         return Shifts(self._columns, self._rows[start:end])
 
     def parts(self, at_once: int = AT_ONCE) -> Iterator[Shifts]:
-        """So many at a time that they take little memory."""
+        """This many at a time that they take little memory."""
         for start in range(0, len(self), at_once):
             yield self.stretch(start, start + at_once)
 

@@ -81,7 +81,7 @@ def add_parser(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--judged-blind", type=arguments.whole(1, 1000), metavar="K",
-        help="of those, so many also by strategies that are blind to the phase, beside the "
+        help="of those, this many also by strategies that are blind to the phase, beside the "
         f"controller's own (default: all; with --until {GAP} 1). --until integrates their gap "
         "rate, which is then the same of one shift of a run as of all",
     )  # fmt: skip
@@ -156,7 +156,7 @@ def _add_stopping(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--budget", type=float, metavar="S",
-        help="with --until: begin nothing that would end after so many wall seconds",
+        help="with --until: begin nothing that would end after this many wall seconds",
     )  # fmt: skip
     parser.add_argument(
         "--junit", type=Path, metavar="FILE", help="the result as JUnit XML, for a CI server"
@@ -403,7 +403,7 @@ def _compared(namespace: argparse.Namespace, own: str) -> tuple[str, ...]:
 
 
 def _judged_blind(namespace: argparse.Namespace) -> int | None:
-    """More than one tells an integrated rate nothing."""
+    """More than one reports an integrated rate nothing."""
     waits_for_gaps = namespace.until is not None and namespace.until.figure == GAP
     return namespace.judged_blind or (1 if waits_for_gaps else None)
 

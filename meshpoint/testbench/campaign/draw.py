@@ -50,7 +50,7 @@ class Draw:
     """While the bench learns, and after it where `judged` does not say otherwise."""
     profile: Profile = DEFAULT_PROFILE
     judged: Mapping[str, float] = field(default_factory=dict)
-    """Conditions of work drawn anew for the judged shifts; none in the profile clean."""
+    """Conditions of work drawn again for the judged shifts; none in the profile clean."""
 
 
 def draw(

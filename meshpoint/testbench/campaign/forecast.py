@@ -1,7 +1,7 @@
 """The truck's plant run ahead: phase and slip of a gear for any moment of letting the brake go.
 
 One trunk with the brake as commanded but never released, and from its samples branches with the
-brake let go. What a release changes, beyond the slip it begins with, is interpolated between the
+brake released. What a release changes, beyond the slip it begins with, is interpolated between the
 branches of two samples: of neighbours while the brake still fills, wider ones later.
 """
 
@@ -140,7 +140,7 @@ def _between(
 
 
 class Branch:
-    """What letting go at a sample adds to going on at its slip: phase and slip by sample."""
+    """What releasing at a sample adds to going on at its slip: phase and slip by sample."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -202,7 +202,7 @@ class Forecast:
     def after_release(self, brake: Vector, time_us: float) -> tuple[float, float]:
         """The same for switches of which the last is a release that may be moved.
 
-        What `course` has for this one time, to the bit: a root is looked for one time after the
+        What `trajectory` has for this one time, to the bit: a root is looked for one time after the
         other, where arrays of one cost several times the arithmetic."""
         switches = self._switches(brake)
         own_us = float(time_us) - self._offset_us
@@ -226,7 +226,7 @@ class Forecast:
         turned += (slip + fall * after_s / 2.0) * after_s
         return phase0 + slip0 * after_us * 1e-6 + turned, slip0 + (slip + fall * after_s)
 
-    def course(self, brake: Vector, at_us: Vector, is_released: bool) -> tuple[Vector, Vector]:
+    def trajectory(self, brake: Vector, at_us: Vector, is_released: bool) -> tuple[Vector, Vector]:
         """Phase and slip at ascending times; `is_released`: the last switch is a release that may
         be moved, else all switches are as commanded."""
         switches = self._switches(brake)

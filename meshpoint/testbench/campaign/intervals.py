@@ -6,7 +6,8 @@ Few runs with a miss say little of how misses go together: the design effect is 
 and the worst, a whole run like its first shift, by how many such runs there are.
 Means, quantiles and ratios: percentile bootstrap over whole runs, with the same resamples for the
 strategies compared, so that a ratio keeps the pairing (Efron and Tibshirani 1993, ch. 8). A ratio
-of rates of which one has few misses is told from the intervals of both (Donner and Zou 2012).
+of rates of which one has few misses is distinguished from the intervals of both (Donner and Zou
+2012).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from meshpoint.controller.records import Integers, Vector
 from meshpoint.testbench.results.wilson import wilson
 
 FEW_RUNS: Final = 5
-"""So many runs with a miss, and with a hit, before resampling shows how rates vary."""
+"""This many runs with a miss, and with a hit, before resampling shows how rates vary."""
 RESAMPLES: Final = 1000
 SEED: Final = 0xB007
 AT_ONCE: Final = 250_000
@@ -158,7 +159,7 @@ def resample(runs: int, figures: Sequence[Resampled]) -> list[Vector]:
 
 
 def _parts(width: int, many: int) -> Iterator[slice]:
-    """So many rows of this width, a few at a time, so that they take little memory."""
+    """This many rows of this width, a few at a time, so that they take little memory."""
     rows = max(1, AT_ONCE // max(1, width))
     for start in range(0, many, rows):
         yield slice(start, min(start + rows, many))

@@ -18,8 +18,8 @@ from scipy.special import stdtrit
 from meshpoint.testbench.campaign.verdict import FIRST_RUNS, Verdict
 
 LEVEL: Final = 0.995
-"""Of the interval at each look: with looks as `verdict.looks` has them, less than 3 % of changes
-that change nothing are called worse (`tests/campaign/test_paired_ratio.py`)."""
+"""Of the interval at each interim analysis: with analyses as `verdict.looks` has them, less than 3
+% of changes that change nothing are called worse (`tests/campaign/test_paired_ratio.py`)."""
 
 
 class PairedRatio(NamedTuple):

@@ -98,7 +98,7 @@ def run_all(
 
 
 class _Work:
-    """Runs handed to an executor, so many at a time: a future takes kilobytes."""
+    """Runs handed to an executor, this many at a time: a future takes kilobytes."""
 
     def __init__(
         self,

@@ -60,7 +60,7 @@ class CampaignSpec:
     profile: Profile = DEFAULT_PROFILE
     wire: WireProfile = WireProfile.FD
     judged_blind: int | None = None
-    """Of the judged shifts of a run, so many are also made by strategies that are blind to the
+    """Of the judged shifts of a run, this many are also made by strategies that are blind to the
     phase, if they are not the controller's own. None: all."""
 
     @property

@@ -30,7 +30,7 @@ class Stopping(Protocol):
         """The numbers of runs at which to look, the last of them `most_runs`."""
 
     def enough(self, shifts: Shifts, /) -> bool:
-        """Whether these are enough; `shifts` are those of the first so many runs."""
+        """Whether these are enough; `shifts` are those of the first this many runs."""
 
     def to_json(self) -> dict[str, Any]:
         """What came of it, by name."""

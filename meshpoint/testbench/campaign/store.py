@@ -26,7 +26,7 @@ SHIFTS_FILE: Final = "shifts.parquet"
 CAMPAIGN_FILE: Final = "campaign.json"
 PARTS: Final = "parts"
 MERGED: Final = 64
-"""So many small parts become one, and so many of those become one again."""
+"""This many small parts become one, and this many of those become one again."""
 LEVELS: Final = 2
 
 

@@ -1,4 +1,4 @@
-"""`true_state`: target_phase told the rig's true state and parameters, and no future chance.
+"""`true_state`: target_phase reported the rig's true state and parameters, and no future chance.
 
 It shows what physics leaves to be had: the scatter of the sleeve's delay stays unknown to it. In
 the preset thesis the controller's own model is exact, so the true state is all that it needs; in
@@ -70,7 +70,9 @@ class ForecastPredictor(GearPredictor):
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         times_us = first_us + step_us * np.arange(count, dtype=np.float64)
-        return Trajectory(first_us, step_us, *self.forecast.course(switches, times_us, is_released))
+        return Trajectory(
+            first_us, step_us, *self.forecast.trajectory(switches, times_us, is_released)
+        )
 
     def trajectories(
         self, releases_us: Sequence[int], firsts_us: Sequence[float], step_us: float, count: int

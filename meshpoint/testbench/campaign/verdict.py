@@ -32,16 +32,16 @@ NOT_WORSE_FROM: Final = -3.5
 """Evidence from which a verdict is given at the first looks."""
 RISE: Final = 0.3
 FEW_CHANGED: Final = 16
-"""Beyond so many pairs that are worse or better, each doubling asks for `RISE` more before shifts
+"""Beyond this many pairs that are worse or better, each doubling asks for `RISE` more before shifts
 are called worse: who has looked more often was more often deceived by chance."""
 NO_MORE: Final = 0.4
 """More is asked for, too, where the pairs are the whole baseline, and in part where they are a part
 of it: how often it misses is then known from the same shifts alone."""
 LEAST_WORSE: Final = 3
-"""So many more pairs are worse than better before the change is called worse."""
+"""This many more pairs are worse than better before the change is called worse."""
 FIRST_RUNS: Final = 16
 EVERY_RUNS: Final = 8
-"""When it is looked: after so many runs, and then after every so many more."""
+"""When it is looked: after this many runs, and then after every this many more."""
 ICC: Final = 0.12
 """How much the misses of one run go together at least (docs/campaign.md)."""
 LEAST_MISSES: Final = 0.005

@@ -22,7 +22,7 @@ ORPHANED: Final = 1
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """So many processes. SIGTERM acts as Ctrl-C does: what is at work comes to its end, then they
+    """This many processes. SIGTERM acts as Ctrl-C does: what is at work comes to its end, then they
     end. Where the parent is killed they end at once."""
     # spawned, not forked: the same on every system, and threads are not copied half alive
     context = multiprocessing.get_context("spawn")

@@ -79,7 +79,7 @@ def write_log(namespace: argparse.Namespace, path: Path, asked: Asked) -> Captur
     with LogWriter(namespace.output, channel="can0", by_frame_time=True) as log:
         frames = write_capture(log, choice.capture, namespace.shaft)
     out = console(namespace.json)
-    for line in _told(choice, namespace, path, frames):
+    for line in _reported(choice, namespace, path, frames):
         out.print(line)
     return choice.row()
 
@@ -112,7 +112,7 @@ def _wheel(namespace: argparse.Namespace) -> FoundWheel | None:
     return FoundWheel(teeth, missing)
 
 
-def _told(choice: Choice, namespace: argparse.Namespace, path: Path, frames: int) -> list[str]:
+def _reported(choice: Choice, namespace: argparse.Namespace, path: Path, frames: int) -> list[str]:
     wheel, capture = choice.wheel, choice.capture
     missing = f"missing = {list(wheel.missing)}" if wheel.missing else "no missing teeth"
     tried = [f"tried: {line}" for line in choice.tried] if len(choice.tried) > 1 else []

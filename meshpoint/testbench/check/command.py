@@ -53,7 +53,7 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "check",
         description="Listens, sends nothing, and says whether the controller could work here: the "
-        "interface as the system tells it (bit rates, CAN FD, sample point, restart-ms, queue "
+        "interface as the system says it (bit rates, CAN FD, sample point, restart-ms, queue "
         "length, receive buffer, error counters), the scatter of its time stamps, each expected "
         "message with rate, age and end-to-end state, and whether sensors and tooth counts are "
         "plausible. Ends in yes (exit code 0) or no (1), with the reason; what cannot be known on "

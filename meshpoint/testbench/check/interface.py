@@ -1,4 +1,4 @@
-"""What the system tells about a CAN interface: `ip -details -json link show`, and the socket.
+"""What the system reports about a CAN interface: `ip -details -json link show`, and the socket.
 
 Only SocketCAN devices have such facts. A vcan has no bit rate and no error counter, another
 interface has no link at all: then it is said what cannot be known.
@@ -37,7 +37,7 @@ NO_FACTS: Final = "bit rates, sample point, restart-ms, queue length and error c
 
 @dataclass(frozen=True)
 class LinkState:
-    """One CAN device as `ip` tells it; None: it does not tell."""
+    """One CAN device as `ip` says it; None: it does not tell."""
 
     name: str
     is_up: bool
@@ -60,7 +60,7 @@ class LinkState:
 
 
 class LinkError(Exception):
-    """The system tells nothing of this device; the message says why."""
+    """The system says nothing of this device; the message says why."""
 
 
 def read_link(name: str) -> LinkState:
@@ -68,16 +68,18 @@ def read_link(name: str) -> LinkState:
     tool = shutil.which("ip")
     if tool is None:
         raise LinkError("there is no `ip` on this machine (package iproute2)")
-    told = subprocess.run(  # noqa: S603 (the name is one argument, no shell)
+    reported = subprocess.run(  # noqa: S603 (the name is one argument, no shell)
         [tool, "-details", "-statistics", "-json", "link", "show", "dev", name],
         capture_output=True,
         text=True,
         timeout=IP_TIMEOUT_S,
         check=False,
     )
-    if told.returncode != 0:
-        raise LinkError(" ".join(told.stderr.split()) or f"`ip` ended with {told.returncode}")
-    return link_of(told.stdout)
+    if reported.returncode != 0:
+        raise LinkError(
+            " ".join(reported.stderr.split()) or f"`ip` ended with {reported.returncode}"
+        )
+    return link_of(reported.stdout)
 
 
 def link_of(text: str) -> LinkState:
@@ -112,9 +114,9 @@ def link_of(text: str) -> LinkState:
     )
 
 
-def _share(told: Any) -> float | None:
+def _share(reported: Any) -> float | None:
     """A sample point: older versions of `ip` print text, others a number."""
-    return None if told is None else float(told)
+    return None if reported is None else float(reported)
 
 
 def _counts(device: dict[str, Any], info: dict[str, Any]) -> dict[str, int]:
@@ -157,7 +159,7 @@ def judge_link(
 
 def _judge_timing(link: LinkState, is_classic: bool) -> Iterator[Finding]:
     if link.bit_s is None:
-        yield _unknown("bit rate", "`ip` tells none")
+        yield _unknown("bit rate", "`ip` reports none")
         return
     rates = f"{link.bit_s / 1e3:g} kbit/s"
     rates += f", data {link.data_bit_s / 1e6:g} Mbit/s" if link.data_bit_s else ", no data bit rate"
@@ -169,7 +171,7 @@ def _judge_timing(link: LinkState, is_classic: bool) -> Iterator[Finding]:
         else _bad("bit rate", f"{rates}; the contract has {wanted}")
     )
     if link.sample_point is None:
-        yield _unknown("sample point", "`ip` tells none")
+        yield _unknown("sample point", "`ip` reports none")
         return
     points = f"{100 * link.sample_point:.1f} %"
     if link.data_sample_point is not None:
@@ -202,7 +204,7 @@ def _judge_restart(link: LinkState) -> Finding:
 def _judge_queue(link: LinkState) -> Iterator[Finding]:
     frames = link.queue_frames
     if frames is None:
-        yield _unknown("transmit queue", "`ip` tells no length")
+        yield _unknown("transmit queue", "`ip` reports no length")
     elif frames < LEAST_QUEUE:
         yield _bad(
             "transmit queue",
@@ -228,10 +230,10 @@ def _judge_errors(link: LinkState, before: LinkState | None) -> Iterator[Finding
         if before is not None and value > before.counts.get(key, 0)
     }
     if grown:
-        told = ", ".join(f"{key} +{value}" for key, value in sorted(grown.items()))
-        yield _bad("error counters", f"{told} while listening")
+        reported = ", ".join(f"{key} +{value}" for key, value in sorted(grown.items()))
+        yield _bad("error counters", f"{reported} while listening")
     else:
-        yield _good("error counters", f"{now}{counted}" or "none told")
+        yield _good("error counters", f"{now}{counted}" or "none reported")
 
 
 def judge_socket(bus: can.BusABC) -> Finding:
@@ -254,7 +256,7 @@ def judge_socket(bus: can.BusABC) -> Finding:
 def without_link(interface: str) -> Finding:
     """An interface that is no SocketCAN device."""
     hint = ": the adapter's own tool shows them" if interface not in NO_CONTROLLER else ""
-    return _unknown("bit timing", f"{interface} tells no {NO_FACTS}{hint}")
+    return _unknown("bit timing", f"{interface} reports no {NO_FACTS}{hint}")
 
 
 NO_CONTROLLER: Final = frozenset({"meshpoint", "meshpoint_simulated", "virtual", "udp_multicast"})

@@ -25,7 +25,7 @@ SUPPLY_SHARE: Final = (0.6, 1.3)
 SENSOR_END_PA: Final = 13.1e5
 """Pressure sensors saturate here."""
 RELEASED_PA: Final = 0.3e5
-"""A brake that is let go is within this of the air around."""
+"""A brake that is released is within this of the air around."""
 OIL_C: Final = (-40.0, 150.0)
 BEYOND_M: Final = 1.5 * MM
 """By which a position may lie beyond the stroke: mounting and calibration."""
@@ -33,7 +33,8 @@ CELSIUS: Final = 273.15
 
 
 def judge_sensors(heard: Heard, sheet: GearboxSheet) -> Iterator[Finding]:
-    """A finding for each sensor that was heard; messages that are missing are told elsewhere."""
+    """A finding for each sensor that was heard; messages that are missing are reported
+    elsewhere."""
     sensors = heard.last(GearboxSensors)
     valves = heard.last(ValveStatus)
     if sensors is not None:
@@ -99,7 +100,7 @@ def _valves(valves: ValveStatus) -> Finding:
 def _engine(engine: EEC1, sheet: GearboxSheet) -> Finding:
     rad_s = engine.engine_speed_rad_s
     if rad_s is None:
-        return _bad("engine", "EEC1 tells no speed")
+        return _bad("engine", "EEC1 reports no speed")
     text = f"{rad_s / RPM:.0f} rpm"
     if rad_s > sheet.limits.input_max_rad_s:
         return _bad("engine", f"{text}, the sheet allows {sheet.limits.input_max_rad_s / RPM:.0f}")

@@ -42,7 +42,7 @@ SLACK_EDGES: Final = 3
 """By which the counts of two wheels may differ for nothing: where each begins and ends."""
 SLACK_SHARE: Final = 0.005
 FEW_EDGES: Final = 3
-"""A wheel that was turned by hand has counted at least so many."""
+"""A wheel that was turned by hand has counted at least this many."""
 
 
 class Shaft(StrEnum):
@@ -255,13 +255,13 @@ def judge_turned(asked: Shaft, turned: dict[Shaft, int]) -> Finding:
     """A person was asked to turn one shaft; `turned`: edges of each since then."""
     subject = f"{asked} turned by hand"
     others = {shaft: n for shaft, n in turned.items() if shaft is not asked and n >= FEW_EDGES}
-    told = ", ".join(f"{shaft} {n}" for shaft, n in turned.items())
+    reported = ", ".join(f"{shaft} {n}" for shaft, n in turned.items())
     if turned[asked] >= FEW_EDGES:
-        return Finding(GROUP, subject, Verdict.GOOD, f"edges: {told}")
+        return Finding(GROUP, subject, Verdict.GOOD, f"edges: {reported}")
     if others:
         found = " and ".join(others)
         return Finding(
             GROUP, subject, Verdict.BAD,
-            f"edges: {told}; only {found} counted: the sensors are swapped or miswired",
+            f"edges: {reported}; only {found} counted: the sensors are swapped or miswired",
         )  # fmt: skip
-    return Finding(GROUP, subject, Verdict.UNKNOWN, f"edges: {told}; nothing was turned")
+    return Finding(GROUP, subject, Verdict.UNKNOWN, f"edges: {reported}; nothing was turned")

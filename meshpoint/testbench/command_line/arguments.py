@@ -410,7 +410,7 @@ def calibration_of(
     namespace: argparse.Namespace, sheet: GearboxSheet, threaded: bool, tell: Callable[[str], None]
 ) -> tuple[Calibration | None, CalibrationWriter | None]:
     """The calibration to start with and who writes it; CommandError where nothing can be written
-    there. What became of the file is told in a line."""
+    there. What became of the file is reported in a line."""
     path: Path | None = namespace.calibration
     if path is None:
         return None, None

@@ -78,7 +78,7 @@ def add_parser(commands: Any) -> None:
         "--drawn",
         type=arguments.whole(1, 10_000),
         metavar="N",
-        help="rehearse on so many drawn gearboxes in virtual time, their sheets withheld and a "
+        help="rehearse on this many drawn gearboxes in virtual time, their sheets withheld and a "
         "tenth of them miswired, and count what was named; no bus is opened",
     )
     arguments.add_seed(parser)
@@ -94,7 +94,7 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     if arguments.wire_of(namespace) is WireProfile.CLASSIC:
         raise CommandError(
-            "commission tells wheels and shafts apart by their edges: --profile classic carries "
+            "commission reports wheels and shafts apart by their edges: --profile classic carries "
             "those of two shafts alone. Commission the box over CAN FD: the data sheet that it "
             "writes serves a controller with --profile classic as well"
         )
@@ -230,8 +230,8 @@ def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:
     missed = [one for one in found if not one.is_right]
     out = console(namespace.json)
     for one in wrong:
-        told = "named" if one.is_right else "not named"
-        out.print(f"seed {one.seed}: {one.wrong}: {told}", soft_wrap=True)
+        reported = "named" if one.is_right else "not named"
+        out.print(f"seed {one.seed}: {one.wrong}: {reported}", soft_wrap=True)
     for one in missed:
         out.print(f"seed {one.seed}: found {_bad(one.findings)}", soft_wrap=True)
     named = sum(one.is_right for one in wrong)

@@ -41,7 +41,7 @@ STILL_US: Final = 300_000
 CONSENT_US: Final = 10_000_000
 MOST_TRIALS: Final = 3
 RETURNS: Final = 8
-"""So often an output may be driven to bring its sleeve back to neutral."""
+"""This often an output may be driven to bring its sleeve back to neutral."""
 MOST_EDGES: Final = 4
 """Of a wheel within `STILL_US` before an output is armed: creeping is not turning."""
 MOST_PULSED_EDGES: Final = 12

@@ -1,6 +1,6 @@
 """Where the plates of the clutch touch, by the input shaft that they take along.
 
-The input shaft, let go, slows evenly. From the touch on the plates' torque grows with the travel,
+The input shaft, released, slows evenly. From the touch on the plates' torque grows with the travel,
 so its speed is w = w_0 + a t + k (t - t_k)^2 for t > t_k, until it is near the engine's. It has a
 small part of the engine's inertia: it shows the touch where the engine's speed does not.
 """

@@ -118,10 +118,10 @@ def value_of(sheet: GearboxSheet, table: str, key: str) -> float:
     return float(place[key])
 
 
-def with_entries(sheet: GearboxSheet, told: list[Entry]) -> GearboxSheet:
+def with_entries(sheet: GearboxSheet, reported: list[Entry]) -> GearboxSheet:
     """The sheet with measured keys in place of its own. TableError where they do not fit."""
     above: dict[str, Any] = {}
-    for entry in told:
+    for entry in reported:
         place = above
         for part in entry.table.split("."):
             place = place.setdefault(part, {})
@@ -133,13 +133,13 @@ def _wheels(found: Commissioned, log: EdgeLog) -> None:
     """Teeth and duty of each sensor wheel."""
     for shaft in Shaft:
         subject = f"{shaft} wheel"
-        told = tooth_count(*(log.edges(shaft, window)[0] for window in log.windows))
+        reported = tooth_count(*(log.edges(shaft, window)[0] for window in log.windows))
         if shaft is Shaft.INPUT:
-            told = _by_engine(found, log, told)
-        if told is None:
-            found.unknown(subject, "its teeth are too even to be told apart: count them")
+            reported = _by_engine(found, log, reported)
+        if reported is None:
+            found.unknown(subject, "its teeth are too even to be distinguished: count them")
             continue
-        found.add(f"wheels.{shaft}", "teeth", told, "by their pattern")
+        found.add(f"wheels.{shaft}", "teeth", reported, "by their pattern")
         duty = _duty(log, shaft)
         if duty is not None:
             found.add(f"wheels.{shaft}", "duty_percent", 100.0 * duty, "")
@@ -180,14 +180,14 @@ def _meshes(found: Commissioned, log: EdgeLog) -> None:
         if entry.key == "teeth" and entry.table.startswith("wheels.")
     }
     for table, pair, states, mesh in _steps(found.sheet):
-        told = [
+        reported = [
             one
             for window in log.windows
             if window.state in states and (one := ratio(log, pair, teeth, window)) is not None
         ]
-        best = min(told, key=lambda one: one.tolerance, default=None)
+        best = min(reported, key=lambda one: one.tolerance, default=None)
         if best is None or best.fraction is None:
-            found.unknown(table, "its ratio is not told well enough to know its teeth")
+            found.unknown(table, "its ratio is not reported well enough to know its teeth")
             continue
         driving, driven = _whole_teeth(best, mesh)
         found.add(table, "teeth_driving", driving, "down to a common factor")
@@ -214,12 +214,12 @@ def _steps(sheet: GearboxSheet) -> Iterator[tuple[str, tuple[Shaft, Shaft], tupl
 
 def _whole_teeth(measured: Measured, mesh: Mesh) -> tuple[int, int]:
     """The sheet's own wheels where they have this ratio, else the fewest teeth that may be."""
-    told = measured.fraction or Fraction(1)
-    if mesh.exact == told:
+    reported = measured.fraction or Fraction(1)
+    if mesh.exact == reported:
         return mesh.driving, mesh.driven
-    least = min(told.numerator, told.denominator)
+    least = min(reported.numerator, reported.denominator)
     factor = -(-LEAST_WHEEL // least)
-    return factor * told.numerator, factor * told.denominator
+    return factor * reported.numerator, factor * reported.denominator
 
 
 def _kiss(found: Commissioned, running: RunningCore) -> None:
@@ -246,11 +246,11 @@ def _identify(found: Commissioned, recorded: list[tuple[int, Frame]]) -> None:
     """Brake, drag, inertias, sleeves and duty, by the log of the guided manoeuvres."""
     content = _content(found.sheet, recorded)
     found.identified = identify(content, found.sheet)
-    told = {(entry.table, entry.key): entry for entry in found.entries}
+    reported = {(entry.table, entry.key): entry for entry in found.entries}
     for entry in entries(found.identified, found.sheet):
         if entry.table != "clutch":
-            told[entry.table, entry.key] = entry
-    found.entries = list(told.values())
+            reported[entry.table, entry.key] = entry
+    found.entries = list(reported.values())
     for figure in found.identified.figures:
         if figure.value is None and not figure.name.startswith("clutch"):
             found.unknown(figure.name, figure.why)

@@ -95,18 +95,18 @@ class Miswiring:
             return f"sensors of {a} and {b} are exchanged" in bad.get("explanation", "")
         return not bad
 
-    def is_told_by(self, findings: list[Finding]) -> bool:
-        """The same of a box that was turned, where it can be told apart from all else."""
+    def is_reported_by(self, findings: list[Finding]) -> bool:
+        """The same of a box that was turned, where it can be determined apart from all else."""
         turned = {f.subject: f.text for f in findings if f.group == TURNING and f.verdict == "bad"}
         others = [f for f in findings if f.group != TURNING]
         if self.sensors is not None:
             a, b = self.sensors
             text = "the sensors of {} and {} are exchanged"
-            told = {
+            reported = {
                 f"{a} sensor turned": text.format(a, b),
                 f"{b} sensor turned": text.format(b, a),
             }
-            return turned == told and Miswiring().is_named_by(others)
+            return turned == reported and Miswiring().is_named_by(others)
         sleeves: dict[Sleeve, str] = {}
         if self.mirrored is not None:
             sleeves = {self.mirrored: "mounted the other way round"}
@@ -139,7 +139,7 @@ class Miswiring:
 
 
 def draw_miswiring(seed: int, share: float = MISWIRED_SHARE) -> Miswiring:
-    """One box in so many has one thing wrong."""
+    """One box in this many has one thing wrong."""
     rng = np.random.Generator(np.random.PCG64([seed, 0x3139]))
     if rng.random() >= share:
         return Miswiring()
@@ -196,7 +196,7 @@ class MiswiredRig(AroundCore[RigCore]):
         return ValveCommand(**values)
 
     def step(self, now_us: int) -> Step:
-        """The rig's frames, of exchanged sensors under each other's name. The valve side tells
+        """The rig's frames, of exchanged sensors under each other's name. The valve side reports
         which outputs it drives by the names that it was commanded."""
         step = self._core.step(now_us)
         if not self._wrong.is_any:
@@ -207,7 +207,7 @@ class MiswiredRig(AroundCore[RigCore]):
         message = self._said.receive(frame).message
         values: Any = message
         if isinstance(message, ValveStatus):
-            return self._outer.encode(self._told(message))
+            return self._outer.encode(self._reported(message))
         if isinstance(message, (SleevesMain, SleevesAux)):
             return self._outer.encode(self._placed(message))
         other = None if message is None else self._swap.get(type(message))
@@ -227,7 +227,7 @@ class MiswiredRig(AroundCore[RigCore]):
         changed: Message = values._replace(**{names[sleeve]: samples[sleeve] for sleeve in names})
         return changed
 
-    def _told(self, status: ValveStatus) -> ValveStatus:
+    def _reported(self, status: ValveStatus) -> ValveStatus:
         if self._wrong.valves is None:
             return status
         values: dict[str, Any] = status._asdict()
@@ -286,8 +286,8 @@ class Turned:
 
     @property
     def is_right(self) -> bool:
-        """Whether what is wrong, and nothing else, was told."""
-        return self.wrong.is_told_by(self.findings)
+        """Whether what is wrong, and nothing else, was reported."""
+        return self.wrong.is_reported_by(self.findings)
 
 
 def rehearse(

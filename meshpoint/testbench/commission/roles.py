@@ -120,7 +120,7 @@ class Turning:
 
 def judge_turning(log: EdgeLog, wires: Mapping[SleeveSide, ValveName]) -> Iterator[Finding]:
     """Sensors by shafts; then what the standing part has left open, valves or position sensors.
-    One thing wrong is told at a time: it is mended, and all is done again."""
+    One thing wrong is reported at a time: it is mended, and all is done again."""
     turning = Turning(log)
     if not turning.is_whole:
         yield Finding(GROUP, "shafts", Verdict.UNKNOWN, "not everything was turned")
@@ -136,7 +136,8 @@ def judge_turning(log: EdgeLog, wires: Mapping[SleeveSide, ValveName]) -> Iterat
         if any(finding.verdict is Verdict.BAD for finding in sensors):
             return
     # Where outputs are crossed the wheels' sensors are believed, and tell what is: valves or
-    # position sensors. With both wrong at once this contradicts itself, and is told again later.
+    # position sensors. With both wrong at once this contradicts itself, and is reported again
+    # later.
     for sleeve, is_true in turning.order():
         name = sleeve.name.lower()
         seen = crossed.get(sleeve, set())

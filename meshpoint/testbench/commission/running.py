@@ -2,7 +2,7 @@
 
 The output is free (wheels lifted, or a stand without load). Each main gear is pushed in at
 standstill and turned by the engine; then, with the main shaft coasting, layshaft and input shaft
-are driven, let go and braked in both splits. All is listened to and recorded; nothing of the data
+are driven, released and braked in both splits. All is listened to and recorded; nothing of the data
 sheet is used but its air and its speed limit. Every manoeuvre waits for a consent of its own, has
 a longest time, and ends with all valves off and the clutch open.
 """
@@ -62,7 +62,7 @@ CREEP_RPM: Final = 700.0
 """Engine speed at which a gear is turned in."""
 GEAR_RPM: Final = 1200.0
 DRIVEN_RPM: Final = (1250.0, 1400.0, 1320.0, 1450.0, 1280.0, 1380.0)
-"""Engine speeds before the layshaft is let go, in turn."""
+"""Engine speeds before the layshaft is released, in turn."""
 PULSES_US: Final = (90_000, 160_000, 0, 230_000, 120_000, 190_000)
 """How long the brake is on in each of these."""
 COUNT_US: Final = 2_500_000

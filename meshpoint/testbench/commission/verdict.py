@@ -176,15 +176,15 @@ def measured_sheet(sheet: GearboxSheet, core: CommissionCore) -> tuple[GearboxSh
     changed = []
     sleeve, brake, air = sheet.sleeve, sheet.brake, sheet.air
     good = [t for t in core.trials if t.valve in EXPECTED and t.moved == [EXPECTED[t.valve]]]
-    courses = _courses_us(good, sheet.sleeve.to_contact_m)
-    if courses:
-        valve_s, delay_s = (median(us) * US for us in zip(*courses, strict=True))
+    trajectories = _trajectories_us(good, sheet.sleeve.to_contact_m)
+    if trajectories:
+        valve_s, delay_s = (median(us) * US for us in zip(*trajectories, strict=True))
         if 0.0 <= valve_s <= 0.050 and valve_s + sleeve.delay_limit_s < delay_s <= 0.200:
             sleeve = replace(sleeve, valve_delay_s=_in(MS, valve_s), delay_s=_in(MS, delay_s))
             changed += ["sleeve.valve_delay_ms", "sleeve.delay_ms"]
     braked = [t for t in core.trials if t.valve is ValveName.BRAKE and t.has_braked]
     if braked:
-        delay_s, lag_s = _brake_course(braked[0])
+        delay_s, lag_s = _brake_trajectory(braked[0])
         if not math.isnan(lag_s):
             brake = replace(brake, valve_delay_s=_in(MS, delay_s), time_constant_s=_in(MS, lag_s))
             changed += ["brake.valve_delay_ms", "brake.time_constant_ms"]
@@ -200,7 +200,7 @@ def _in(unit: float, value: float) -> float:
     return float(f"{value / unit:.5g}") * unit
 
 
-def _courses_us(trials: list[Trial], to_contact_m: float) -> list[tuple[float, float]]:
+def _trajectories_us(trials: list[Trial], to_contact_m: float) -> list[tuple[float, float]]:
     """From activation to the first movement and to the gear's faces, of each main sleeve that was
     pushed out of neutral. Behind the valve's delay its way grows with the square of time."""
     found = []
@@ -218,7 +218,7 @@ def _courses_us(trials: list[Trial], to_contact_m: float) -> list[tuple[float, f
     return found
 
 
-def _brake_course(trial: Trial) -> tuple[float, float]:
+def _brake_trajectory(trial: Trial) -> tuple[float, float]:
     """Delay and time constant of the brake's pressure, from its samples of 10 ms on the way up."""
     top_pa = max(rise for _, rise in trial.pressure)
     points = []

@@ -75,7 +75,7 @@ def tooth_count(*windows: Vector) -> int | None:
 
 
 def _unexplained(gaps: Vector, teeth: int) -> float:
-    """Variance of the relative intervals that a pattern of so many teeth leaves."""
+    """Variance of the relative intervals that a pattern of this many teeth leaves."""
     past = np.concatenate(((0.0,), np.cumsum(gaps)))
     turn = (past[teeth:] - past[:-teeth]) / teeth
     first = teeth // 2

@@ -10,16 +10,16 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet, Split
-from meshpoint.testbench.identify.brake_course import (
+from meshpoint.testbench.identify.brake_fit import BrakeFit, fit
+from meshpoint.testbench.identify.brake_trajectory import (
     BIN_S,
-    BrakeCourses,
-    Course,
+    BrakeTrajectories,
     P,
-    make_course,
+    Trajectory,
+    make_trajectory,
     prior_of,
     time_constant_s,
 )
-from meshpoint.testbench.identify.brake_fit import BrakeFit, fit
 from meshpoint.testbench.identify.held_out import check_runs
 from meshpoint.testbench.identify.identified import (
     LEAST_RUNS,
@@ -36,10 +36,10 @@ from meshpoint.units import MS, RPM
 SENSOR_GAIN_SD: Final = 0.01
 """Of a pressure sensor: the log cannot tell it from the brake's."""
 UNTOLD_SHARE: Final = 0.7
-"""A figure that is known no better than this share of what it was before is not told."""
+"""A figure that is known no better than this share of what it was before is not reported."""
 FIRST_ORDER_FROM: Final = 2.0
-"""Misfit of the choked valve from which a first-order one is tried too."""
-MOST_MISFIT: Final = 30.0
+"""Reduced chi-square of the choked valve from which a first-order one is tried too."""
+MOST_REDUCED_CHI2: Final = 30.0
 """Of good logs it was 0.5 to 6.5, of those whose commands and edges do not belong together 1,500
 and more (docs/replay.md)."""
 BRAKE_FIGURES: Final = (
@@ -59,7 +59,7 @@ BRAKE_FIGURES: Final = (
 def brake_figures(
     found: Identified, content: LogContent, sheet: GearboxSheet, zero_pa: float
 ) -> None:
-    """Tells every figure of BRAKE_FIGURES, or why not; and the layshaft's teeth anew, by the
+    """Reports every figure of BRAKE_FIGURES, or why not; and the layshaft's teeth anew, by the
     brake's model."""
     brake, shafts = sheet.brake, sheet.shafts
     ratio = shafts.input_inertia_kgm2 / shafts.layshaft_inertia_kgm2
@@ -73,21 +73,24 @@ def brake_figures(
     }
     why = "" if content.messages["ValveCommand"] else "no valve commands in the log"
     errors = found.teeth.get("layshaft")
-    courses = [] if errors is None else _courses(content, sheet, errors.error_rad, zero_pa)
-    if not why and len(courses) < LEAST_RUNS:
+    trajectories = (
+        [] if errors is None else _trajectories(content, sheet, errors.error_rad, zero_pa)
+    )
+    if not why and len(trajectories) < LEAST_RUNS:
         why = why_no_runs(content)
     fitted = None
     if not why:
-        found.omega_ref_rad_s = _reference(courses)
+        found.omega_ref_rad_s = _reference(trajectories)
         try:
-            fitted = _fitted(courses, sheet, found.omega_ref_rad_s)
+            fitted = _fitted(trajectories, sheet, found.omega_ref_rad_s)
         except np.linalg.LinAlgError:
             why = "the runs contradict each other: their equations have no solution"
-    if fitted is not None and fitted[0].misfit > MOST_MISFIT:
+    if fitted is not None and fitted[0].reduced_chi2 > MOST_REDUCED_CHI2:
         found.refused = (
-            "refused: the runs do not move as brake, drag and inertias would move them, misfit "
-            f"{fitted[0].misfit:.0f}, 1 is expected and {MOST_MISFIT:.0f} allowed; valve commands "
-            "are missing, or edges and commands are not of one gearbox and one clock"
+            "refused: the runs do not move as brake, drag and inertias would move them, "
+            f"reduced chi-square {fitted[0].reduced_chi2:.0f}, 1 is expected and "
+            f"{MOST_REDUCED_CHI2:.0f} allowed; valve commands are missing, "
+            "or edges and commands are not of one gearbox and one clock"
         )
         found.notes.append(found.refused)
         why = "refused, no equations of motion fit the runs"
@@ -96,23 +99,27 @@ def brake_figures(
         untold(found, why, *((name, BRAKE_UNITS[name], of_sheet[name]) for name in BRAKE_FIGURES))
         return
     best, is_choked = fitted
-    courses = [course for course, used in zip(courses, best.used, strict=True) if used]
-    model = BrakeCourses(courses, sheet, is_choked)
+    trajectories = [
+        trajectory for trajectory, used in zip(trajectories, best.used, strict=True) if used
+    ]
+    model = BrakeTrajectories(trajectories, sheet, is_choked)
     model.omega_ref = found.omega_ref_rad_s
     if errors is not None:
         used = replace(best, omega_rad_s=best.omega_rad_s[best.used.astype(bool)])
-        found.teeth["layshaft"] = teeth_by_model(errors, courses, model, used) or errors
-    if len(best.used) > len(courses):
-        left = len(best.used) - len(courses)
+        found.teeth["layshaft"] = teeth_by_model(errors, trajectories, model, used) or errors
+    if len(best.used) > len(trajectories):
+        left = len(best.used) - len(trajectories)
         found.notes.append(
             f"{left} of {len(best.used)} runs in neutral left out: a sleeve, the clutch or lost "
             "teeth moved the shaft"
         )
     law = "choked flow (ISO 6358)" if is_choked else "first order"
-    found.notes.append(f"brake pressure: {law}; misfit {best.misfit:.2f}, 1 is expected")
+    found.notes.append(
+        f"brake pressure: {law}; reduced chi-square {best.reduced_chi2:.2f}, 1 is expected"
+    )
     of_sheet["drag"] = _drag(prior_of(sheet).mean[None], sheet, found.omega_ref_rad_s)[0]
-    _tell_brake(found, best, is_choked, courses, sheet, of_sheet)
-    found.held_out.append(check_runs(model, courses, best, sheet))
+    _tell_brake(found, best, is_choked, trajectories, sheet, of_sheet)
+    found.held_out.append(check_runs(model, trajectories, best, sheet))
 
 
 BRAKE_UNITS: Final = dict(
@@ -120,37 +127,41 @@ BRAKE_UNITS: Final = dict(
 )
 
 
-def _courses(
+def _trajectories(
     content: LogContent, sheet: GearboxSheet, error_rad: Vector, zero_pa: float
-) -> list[Course]:
+) -> list[Trajectory]:
     runs = list(content.runs)
     if len(runs) < LEAST_RUNS:
         return []
     first, last = runs[0].start_us, runs[-1].start_us
     span = max(last - first, 1)
-    courses = (
-        make_course(run, sheet, error_rad, zero_pa, (run.start_us - first) / span - 0.5)
+    trajectories = (
+        make_trajectory(run, sheet, error_rad, zero_pa, (run.start_us - first) / span - 0.5)
         for run in runs
     )
-    return [course for course in courses if course is not None]
+    return [trajectory for trajectory in trajectories if trajectory is not None]
 
 
-def _reference(courses: list[Course]) -> float:
+def _reference(trajectories: list[Trajectory]) -> float:
     """The mean speed of the runs, in whole tens of rpm: from the middle of the first bin to that of
     the last."""
     speeds = [
-        (course.angle[-1] - course.angle[0]) / (BIN_S * (course.angle.size - 1))
-        for course in courses
+        (trajectory.angle[-1] - trajectory.angle[0]) / (BIN_S * (trajectory.angle.size - 1))
+        for trajectory in trajectories
     ]
     return float(round(np.median(speeds) / RPM / 10.0) * 10.0 * RPM)
 
 
-def _fitted(courses: list[Course], sheet: GearboxSheet, omega_ref: float) -> tuple[BrakeFit, bool]:
-    choked = fit(courses, sheet, True, omega_ref)
-    if choked.misfit < FIRST_ORDER_FROM:
+def _fitted(
+    trajectories: list[Trajectory], sheet: GearboxSheet, omega_ref: float
+) -> tuple[BrakeFit, bool]:
+    choked = fit(trajectories, sheet, True, omega_ref)
+    if choked.reduced_chi2 < FIRST_ORDER_FROM:
         return choked, True
-    first_order = fit(courses, sheet, False, omega_ref)
-    return (choked, True) if choked.misfit <= first_order.misfit else (first_order, False)
+    first_order = fit(trajectories, sheet, False, omega_ref)
+    return (
+        (choked, True) if choked.reduced_chi2 <= first_order.reduced_chi2 else (first_order, False)
+    )
 
 
 def _drag(parameters: Vector, sheet: GearboxSheet, omega_ref: float) -> Vector:
@@ -197,7 +208,7 @@ def _tell_brake(
     found: Identified,
     best: BrakeFit,
     is_choked: bool,
-    courses: list[Course],
+    trajectories: list[Trajectory],
     sheet: GearboxSheet,
     of_sheet: dict[str, float | None],
 ) -> None:
@@ -217,8 +228,8 @@ def _tell_brake(
         * before.sd
     )
     known = _derived(wide, is_choked, sheet, omega_ref)
-    freedom = len(courses) - 1
-    one_split = len({course.i_split for course in courses}) == 1
+    freedom = len(trajectories) - 1
+    one_split = len({trajectory.i_split for trajectory in trajectories}) == 1
     for name in BRAKE_FIGURES:
         value, unit = float(values[name][0]), BRAKE_UNITS[name]
         sd = max(float(jackknife_sd(without[name])), float(np.std(drawn[name])))
@@ -231,10 +242,10 @@ def _tell_brake(
             why = "the runs tell no more of it than the data sheet"
         if why:
             found.figures.append(
-                Figure(name, unit, None, None, None, of_sheet[name], len(courses), why)
+                Figure(name, unit, None, None, None, of_sheet[name], len(trajectories), why)
             )
             continue
         half = student(freedom) * sd
         found.figures.append(
-            Figure(name, unit, value, value - half, value + half, of_sheet[name], len(courses))
+            Figure(name, unit, value, value - half, value + half, of_sheet[name], len(trajectories))
         )

@@ -1,4 +1,5 @@
-"""Fits `brake_course` to all runs at once: generalised least squares, and a jackknife over runs.
+"""Fits `brake_trajectory` to all runs at once: generalised least squares, and a jackknife over
+runs.
 
 Angles are weighed by what scatters them: the edges' own error, and a torque of chance that adds up
 over a run. A run's first angle and speed are its own. Intervals come from leaving out each run in
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.identify.brake_course import (
+from meshpoint.testbench.identify.brake_trajectory import (
     GRID_S,
-    BrakeCourses,
-    Course,
+    BrakeTrajectories,
     Prior,
+    Trajectory,
     prior_of,
 )
 from meshpoint.units import BAR
@@ -36,8 +37,8 @@ DOUBTING: Final = 5
 """Iterations after which runs that do not fit are left out."""
 ODD: Final = 3.0
 MOST_ODD: Final = 8.0
-"""A run's misfit over the usual one: from here on it weighs less; beyond this it is left out: a
-sleeve, a clutch or lost teeth have moved the shaft."""
+"""A run's reduced chi-square over the usual one: from here on it weighs less; beyond this it is
+left out: a sleeve, a clutch or lost teeth have moved the shaft."""
 PROBE: Final = 0.01
 """Of a parameter, in standard deviations of its prior."""
 CONVERGED: Final = 1e-3
@@ -55,7 +56,7 @@ class RunFit:
     values: int
 
     @property
-    def misfit(self) -> float:
+    def reduced_chi2(self) -> float:
         """Squared weighed residuals over their number."""
         return self.squares / self.values
 
@@ -66,7 +67,8 @@ class RunFit:
 
 @dataclass(frozen=True)
 class BrakeFit:
-    """The result: parameters, what each run alone would take them to, and the misfit."""
+    """The result: parameters, what each run alone would take them to, and the reduced
+    chi-square."""
 
     parameters: Vector
     without: Vector
@@ -74,7 +76,7 @@ class BrakeFit:
     covariance: Vector
     """Of the parameters, by the weights."""
     prior: Prior
-    misfit: float
+    reduced_chi2: float
     """Squared weighed residuals over their number."""
     omega_rad_s: Vector
     """At each run's first node."""
@@ -82,24 +84,28 @@ class BrakeFit:
     """(runs,): False for those that do not fit the others and were left out."""
 
 
-def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: float) -> BrakeFit:
+def fit(
+    trajectories: list[Trajectory], sheet: GearboxSheet, is_choked: bool, omega_ref: float
+) -> BrakeFit:
     """The best parameters. LinAlgError where the equations have no solution."""
-    model = BrakeCourses(courses, sheet, is_choked)
+    model = BrakeTrajectories(trajectories, sheet, is_choked)
     model.omega_ref = omega_ref
     prior = prior_of(sheet)
     weight = np.diag(prior.sd**-2.0)
-    whitenings = [_whitening(course) for course in courses]
+    whitenings = [_whitening(trajectory) for trajectory in trajectories]
     at = prior.mean.copy()
-    omega = np.array([course.omega_rad_s for course in courses])
-    heed = np.ones(len(courses))
+    omega = np.array([trajectory.omega_rad_s for trajectory in trajectories])
+    weight = np.ones(len(trajectories))
     for iteration in range(ITERATIONS):
-        parts, own = _equations(model, courses, whitenings, at, omega, prior)
-        odd = np.array([part.misfit for part in parts]) / np.median([p.misfit for p in parts])
+        parts, own = _equations(model, trajectories, whitenings, at, omega, prior)
+        odd = np.array([part.reduced_chi2 for part in parts]) / np.median(
+            [p.reduced_chi2 for p in parts]
+        )
         # First runs that do not fit weigh less, so that the others draw near; then they are out.
-        heed = np.minimum(1.0, (ODD / odd) ** 2)
+        weight = np.minimum(1.0, (ODD / odd) ** 2)
         if iteration >= DOUBTING:
-            heed = np.where(odd > MOST_ODD, 0.0, 1.0)
-        parts = [part.weighed(share) for part, share in zip(parts, heed, strict=True)]
+            weight = np.where(odd > MOST_ODD, 0.0, 1.0)
+        parts = [part.weighed(share) for part, share in zip(parts, weight, strict=True)]
         normal = weight + sum(part.normal for part in parts)
         right = weight @ (prior.mean - at) + sum(part.right for part in parts)
         step: Vector = np.linalg.solve(normal, right).astype(np.float64)
@@ -108,12 +114,12 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
         omega = omega + np.array([one(step) for one in own])
         if iteration > DOUBTING and np.max(np.abs(step) / prior.sd) < CONVERGED:
             break
-    used = heed > 0.0
-    parts = [part for part, share in zip(parts, heed, strict=True) if share > 0.0]
+    used = weight > 0.0
+    parts = [part for part, share in zip(parts, weight, strict=True) if share > 0.0]
     without = np.array([_without(at, normal, right, part) for part in parts])
-    misfit = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
+    reduced_chi2 = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
     covariance: Vector = np.linalg.inv(normal).astype(np.float64)
-    return BrakeFit(at, without, covariance, prior, misfit, omega, used)
+    return BrakeFit(at, without, covariance, prior, reduced_chi2, omega, used)
 
 
 def _without(at: Vector, normal: Vector, right: Vector, part: RunFit) -> Vector:
@@ -121,10 +127,12 @@ def _without(at: Vector, normal: Vector, right: Vector, part: RunFit) -> Vector:
     return np.asarray(at + np.linalg.solve(normal - part.normal, right - part.right))
 
 
-def _whitening(course: Course) -> Vector:
+def _whitening(trajectory: Trajectory) -> Vector:
     """Makes a run's angle residuals independent and of variance 1."""
-    seconds = (course.weights[:, :, 0] @ np.arange(course.nodes) - course.first_node) * GRID_S
-    return whitening(seconds, EDGE_SD_RAD**2 / course.edges + BIN_SD_RAD**2)
+    seconds = (
+        trajectory.weights[:, :, 0] @ np.arange(trajectory.nodes) - trajectory.first_node
+    ) * GRID_S
+    return whitening(seconds, EDGE_SD_RAD**2 / trajectory.edges + BIN_SD_RAD**2)
 
 
 def whitening(seconds: Vector, variances: Vector) -> Vector:
@@ -148,8 +156,8 @@ class _Own:
 
 
 def _equations(
-    model: BrakeCourses,
-    courses: list[Course],
+    model: BrakeTrajectories,
+    trajectories: list[Trajectory],
     whitenings: list[Vector],
     at: Vector,
     omega: Vector,
@@ -160,13 +168,15 @@ def _equations(
     angles, speeds, felts = model.run(lanes, omega)
     moved, _, _ = model.run(at[None, :], omega + 1.0)
     parts, own = [], []
-    for number, course in enumerate(courses):
-        nodes = course.nodes
-        told = np.einsum("bn,nl->bl", course.weights[:, :, 0], angles[:nodes, :, number])
-        told += np.einsum("bn,nl->bl", course.weights[:, :, 1], speeds[:nodes, :, number])
-        by_omega = course.weights[:, :, 0] @ (moved[:nodes, 0, number] - angles[:nodes, 0, number])
-        slopes = (told[:, 1:] - told[:, :1]) / probes
-        residual = course.angle - told[:, 0]
+    for number, trajectory in enumerate(trajectories):
+        nodes = trajectory.nodes
+        reported = np.einsum("bn,nl->bl", trajectory.weights[:, :, 0], angles[:nodes, :, number])
+        reported += np.einsum("bn,nl->bl", trajectory.weights[:, :, 1], speeds[:nodes, :, number])
+        by_omega = trajectory.weights[:, :, 0] @ (
+            moved[:nodes, 0, number] - angles[:nodes, 0, number]
+        )
+        slopes = (reported[:, 1:] - reported[:, :1]) / probes
+        residual = trajectory.angle - reported[:, 0]
         white = whitenings[number]
         nuisance = white @ np.stack((np.ones(residual.size), by_omega), axis=1)
         slopes, residual = white @ slopes, white @ residual
@@ -176,18 +186,20 @@ def _equations(
         own.append(_Own(float(solved[1, 0]), solved[1, 1:]))
         residual = residual - nuisance @ solved[:, 0]
         slopes = slopes - nuisance @ solved[:, 1:]
-        felt, by_felt = _pressures(course, felts[:, :, number], probes)
+        felt, by_felt = _pressures(trajectory, felts[:, :, number], probes)
         both, rest = np.concatenate((slopes, by_felt)), np.concatenate((residual, felt))
         parts.append(RunFit(both.T @ both, both.T @ rest, float(rest @ rest), rest.size))
     return parts, own
 
 
-def _pressures(course: Course, felts: Vector, probes: Vector) -> tuple[Vector, Vector]:
+def _pressures(trajectory: Trajectory, felts: Vector, probes: Vector) -> tuple[Vector, Vector]:
     """Residuals of the pressure samples and their slopes, weighed."""
-    inside = (course.pressure_s > 0.0) & (course.pressure_s < (course.nodes - 1) * GRID_S)
-    place = course.pressure_s[inside] / GRID_S
+    inside = (trajectory.pressure_s > 0.0) & (
+        trajectory.pressure_s < (trajectory.nodes - 1) * GRID_S
+    )
+    place = trajectory.pressure_s[inside] / GRID_S
     node = place.astype(np.int64)
     part = (place - node)[:, None]
-    told = felts[node] * (1.0 - part) + felts[node + 1] * part
-    residual = (course.pressure_pa[inside] - told[:, 0]) / PRESSURE_SD_PA
-    return residual, (told[:, 1:] - told[:, :1]) / probes / PRESSURE_SD_PA
+    reported = felts[node] * (1.0 - part) + felts[node + 1] * part
+    residual = (trajectory.pressure_pa[inside] - reported[:, 0]) / PRESSURE_SD_PA
+    return residual, (reported[:, 1:] - reported[:, :1]) / probes / PRESSURE_SD_PA

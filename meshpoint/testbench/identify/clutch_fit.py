@@ -20,7 +20,8 @@ BEFORE_S, AFTER_S = 0.05, 0.035
 """The engine's speed is used from so long before the looked-for touch to so long after it."""
 STEP: Final = 0.0025
 LEAST_BEND_RAD_S: Final = 0.5
-"""By the end of that time the plates must have changed the speed by so much beyond its course."""
+"""By the end of that time the plates must have changed the speed by so much beyond its
+trajectory."""
 MOST_REST_SHARE: Final = 0.12
 """RMS of what is left over the bend."""
 

@@ -184,9 +184,9 @@ def _values(
 def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
     for line in log.words():
         out.print(f"log: {line}")
-    told = [one for one in found.figures if one.value is not None]
-    if told:
-        out.print(figures_table(told))
+    reported = [one for one in found.figures if one.value is not None]
+    if reported:
+        out.print(figures_table(reported))
     rpm = found.omega_ref_rad_s / RPM
     if rpm:
         out.print(
@@ -200,11 +200,11 @@ def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
         out.print(checks_table(found.held_out))
     for one in found.figures:
         if one.value is None:
-            out.print(f"not told: {one.name}: {one.why}")
+            out.print(f"not reported: {one.name}: {one.why}")
 
 
 def figures_table(figures: Sequence[Figure]) -> Table:
-    """What the log tells, with intervals, beside the data sheet."""
+    """What the log reports, with intervals, beside the data sheet."""
     table = Table(title="identified", title_justify="left", box=None, pad_edge=False)
     for column in COLUMNS:
         left = column in ("figure", "unit")

@@ -8,14 +8,14 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.identify.brake_course import (
+from meshpoint.testbench.identify.brake_fit import BrakeFit
+from meshpoint.testbench.identify.brake_trajectory import (
     GRID_S,
-    BrakeCourses,
-    Course,
+    BrakeTrajectories,
     P,
+    Trajectory,
     prior_of,
 )
-from meshpoint.testbench.identify.brake_fit import BrakeFit
 from meshpoint.units import RPM
 
 ENDS: Final = 6
@@ -43,7 +43,7 @@ def _rms(errors: Vector) -> float:
 
 
 def check_runs(
-    model: BrakeCourses, courses: list[Course], best: BrakeFit, sheet: GearboxSheet
+    model: BrakeTrajectories, trajectories: list[Trajectory], best: BrakeFit, sheet: GearboxSheet
 ) -> HeldOut:
     """The layshaft's speed at the end of each run, from that at its beginning."""
     by_sheet = prior_of(sheet).mean.copy()
@@ -53,24 +53,24 @@ def check_runs(
     for number, parameters in enumerate(best.without):
         both = np.stack((parameters, by_sheet))
         angles, speeds, _ = model.run(both, omega)
-        errors.append(_end_errors(courses[number], angles[:, :, number], speeds[:, :, number]))
+        errors.append(_end_errors(trajectories[number], angles[:, :, number], speeds[:, :, number]))
     found = np.array(errors) / RPM
     return HeldOut(
         "layshaft speed at the end of a run",
         "rpm",
-        len(courses),
+        len(trajectories),
         _rms(found[:, 0]),
         _rms(found[:, 1]),
     )
 
 
-def _end_errors(course: Course, angles: Vector, speeds: Vector) -> Vector:
+def _end_errors(trajectory: Trajectory, angles: Vector, speeds: Vector) -> Vector:
     """Measured less predicted speed at the end, of each lane, the first speeds being equal."""
-    weights, nodes = course.weights, course.nodes
-    told = np.einsum("bn,nl->bl", weights[:, :, 0], angles[:nodes])
-    told += np.einsum("bn,nl->bl", weights[:, :, 1], speeds[:nodes])
-    seconds = (weights[:, :, 0] @ np.arange(nodes) - course.first_node) * GRID_S
-    rest = course.angle[:, None] - told
+    weights, nodes = trajectory.weights, trajectory.nodes
+    reported = np.einsum("bn,nl->bl", weights[:, :, 0], angles[:nodes])
+    reported += np.einsum("bn,nl->bl", weights[:, :, 1], speeds[:nodes])
+    seconds = (weights[:, :, 0] @ np.arange(nodes) - trajectory.first_node) * GRID_S
+    rest = trajectory.angle[:, None] - reported
     begin, end = rest[:ENDS], rest[-ENDS:]
     at_begin, at_end = seconds[:ENDS] - seconds[0], seconds[-ENDS:] - seconds[-1]
     return np.asarray(np.polyfit(at_end, end, 1)[0] - np.polyfit(at_begin, begin, 1)[0])

@@ -1,4 +1,4 @@
-"""What identification tells: figures with intervals, or why there is none."""
+"""What identification reports: figures with intervals, or why there is none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Figure:
     samples: int
     """Runs, strokes or closings that it comes from."""
     why: str = ""
-    """Why it is not told."""
+    """Why it is not reported."""
 
 
 @dataclass
@@ -38,11 +38,11 @@ class Identified:
     held_out: list[HeldOut] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     omega_ref_rad_s: float = 0.0
-    """Layshaft speed at which torque and drag are told."""
+    """Layshaft speed at which torque and drag are reported."""
     supply_pa: float = 0.0
-    """Mean absolute supply pressure at which the sleeves' delays are told."""
+    """Mean absolute supply pressure at which the sleeves' delays are reported."""
     refused: str = ""
-    """Why brake, drag and inertias are not told although there are runs enough: no equations of
+    """Why brake, drag and inertias are not reported although there are runs enough: no equations of
     motion fit them. Empty: they fit."""
     teeth: dict[str, ToothFit] = field(default_factory=dict)
 
@@ -54,7 +54,7 @@ class Identified:
         raise KeyError(name)
 
     def value(self, name: str) -> float | None:
-        """Its value; None where it is not told."""
+        """Its value; None where it is not reported."""
         return self.figure(name).value
 
 

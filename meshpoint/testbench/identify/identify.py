@@ -1,4 +1,4 @@
-"""All that a log tells of a gearbox: values with 95 % intervals, and what it does not tell and why.
+"""All that a log says of a gearbox: values with 95 % intervals, and what it does not tell and why.
 
 Each run in neutral, stroke and closing of the log is kept out in turn: the rest gives the interval
 (jackknife), and predicts what was kept out (held-out check).
@@ -44,7 +44,7 @@ Tell = Callable[[str], None]
 
 
 def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None) -> Identified:
-    """Everything that can be told. tell: is called with the name of each step."""
+    """Everything that can be determined. tell: is called with the name of each step."""
     found = Identified()
     tell = tell or _silent
     tell("teeth")
@@ -62,7 +62,7 @@ def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None)
 
 
 def _silent(_step: str) -> None:
-    """Nobody is told."""
+    """Nobody is reported."""
 
 
 def _zero_pa(content: LogContent, sheet: GearboxSheet) -> float:

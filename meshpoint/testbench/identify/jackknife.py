@@ -21,7 +21,7 @@ def jackknife_sd(without: Vector) -> Vector:
 
 
 def student(freedom: float) -> float:
-    """Half the 95 % interval in standard deviations that are known from so many degrees of
+    """Half the 95 % interval in standard deviations that are known from this many degrees of
     freedom."""
     return float(t.ppf(0.5 + LEVEL / 2.0, max(freedom, 1.0)))
 

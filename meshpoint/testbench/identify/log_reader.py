@@ -127,7 +127,7 @@ class LogContent:
     """Pressures at the brake long after its valve went off."""
 
 
-class _Course:
+class _Trajectory:
     """Edges of one wheel while the gearbox is in neutral."""
 
     def __init__(self, edges: WheelEdges, teeth: int) -> None:
@@ -165,9 +165,9 @@ class LogReader:
         self._view = GearboxView(sheet)
         wheels = sheet.wheels
         self._layshaft, self._main = WheelEdges.of(wheels.layshaft), WheelEdges.of(wheels.main)
-        self._courses = (
-            _Course(self._layshaft, wheels.layshaft.teeth),
-            _Course(self._main, wheels.main.teeth),
+        self._trajectories = (
+            _Trajectory(self._layshaft, wheels.layshaft.teeth),
+            _Trajectory(self._main, wheels.main.teeth),
         )
         self._valves = ValveSwitches()
         self._inputs = StepInputs()
@@ -269,21 +269,21 @@ class LogReader:
             return
         if self._free_us is None:
             self._free_us = sample_us
-            for course in self._courses:
-                course.begin()
+            for trajectory in self._trajectories:
+                trajectory.begin()
             return
         self._last_us = sample_us
         if sample_us - self._free_us > MOST_FREE_S * SECOND_US:
             return
-        for course, batch in zip(self._courses, (layshaft, main), strict=True):
-            course.add(batch)
+        for trajectory, batch in zip(self._trajectories, (layshaft, main), strict=True):
+            trajectory.add(batch)
 
     def _end(self) -> None:
         start_us, self._free_us = self._free_us, None
         if start_us is None or self._split is None:
             return
         end_us = min(self._last_us, start_us + int(MOST_FREE_S * SECOND_US))
-        layshaft, main = (course.wheel(start_us, end_us) for course in self._courses)
+        layshaft, main = (trajectory.wheel(start_us, end_us) for trajectory in self._trajectories)
         if layshaft is None or main is None:
             return
         past_us = start_us - PAST_US

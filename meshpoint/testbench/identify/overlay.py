@@ -1,7 +1,7 @@
 """What was identified as a data sheet: a TOML file that names a sheet and what is other than there.
 
 `based_on` names the sheet that it stands on (`meshpoint.gearbox.sheet`), so that the file holds
-nothing but what the log has told.
+nothing but what the log has reported.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Entry(NamedTuple):
 
 
 def entries(found: Identified, sheet: GearboxSheet) -> list[Entry]:
-    """The keys that the log has told, in the units of the file."""
-    told = {figure.name: figure.value for figure in found.figures if figure.value is not None}
+    """The keys that the log has reported, in the units of the file."""
+    reported = {figure.name: figure.value for figure in found.figures if figure.value is not None}
     made = []
 
     def add(table: str, key: str, value: float | None, why: str) -> None:
@@ -37,21 +37,21 @@ def entries(found: Identified, sheet: GearboxSheet) -> list[Entry]:
             made.append(Entry(table, key, value, why))
 
     rpm = found.omega_ref_rad_s * 30.0 / 3.141592653589793
-    add("brake", "max_torque_nm", told.get("brake torque"), f"at {rpm:.0f} rpm of the layshaft")
-    delays = _mean(told, "brake valve on delay", "brake valve off delay")
+    add("brake", "max_torque_nm", reported.get("brake torque"), f"at {rpm:.0f} rpm of the layshaft")
+    delays = _mean(reported, "brake valve on delay", "brake valve off delay")
     add("brake", "valve_delay_ms", delays, "mean of on and off")
-    times = _mean(told, "brake filling time", "brake emptying time")
+    times = _mean(reported, "brake filling time", "brake emptying time")
     add("brake", "time_constant_ms", times, "63 % of the way, mean of filling and emptying")
-    ratio = told.get("inertia ratio")
+    ratio = reported.get("inertia ratio")
     if ratio is not None:
         layshaft = sheet.shafts.layshaft_inertia_kgm2
         add("shafts", "input_inertia_kgm2", ratio * layshaft, "over the sheet's layshaft_inertia")
-    drag = told.get("drag")
+    drag = reported.get("drag")
     if drag is not None and found.omega_ref_rad_s > 0.0:
         viscous = max(drag / found.omega_ref_rad_s, 0.0)
         add("shafts", "friction_nms", viscous, f"the whole drag at {rpm:.0f} rpm over the speed")
-    _sleeve(found, sheet, told, made)
-    kiss = told.get("clutch kiss point")
+    _sleeve(found, sheet, reported, made)
+    kiss = reported.get("clutch kiss point")
     if kiss is not None:
         figure = found.figure("clutch kiss point")
         add("clutch", "kiss_percent", kiss, "")
@@ -59,20 +59,20 @@ def entries(found: Identified, sheet: GearboxSheet) -> list[Entry]:
             half = 0.5 * (figure.high - figure.low)
             add("clutch", "kiss_tolerance_percent", half, "half the 95 % interval")
     for wheel in ("layshaft", "main"):
-        add(f"wheels.{wheel}", "duty_percent", told.get(f"{wheel} wheel duty"), "")
+        add(f"wheels.{wheel}", "duty_percent", reported.get(f"{wheel} wheel duty"), "")
     return made
 
 
-def _mean(told: dict[str, float], *names: str) -> float | None:
-    values = [told[name] for name in names if name in told]
+def _mean(reported: dict[str, float], *names: str) -> float | None:
+    values = [reported[name] for name in names if name in reported]
     return sum(values) / len(values) if values else None
 
 
 def _sleeve(
-    found: Identified, sheet: GearboxSheet, told: dict[str, float], made: list[Entry]
+    found: Identified, sheet: GearboxSheet, reported: dict[str, float], made: list[Entry]
 ) -> None:
     """The delay at the sheet's supply pressure, mean of all gears, and its spread."""
-    delay = _mean(told, *(f"sleeve delay {gear.name.lower()}" for gear in MAIN_GEARS))
+    delay = _mean(reported, *(f"sleeve delay {gear.name.lower()}" for gear in MAIN_GEARS))
     if delay is None:
         return
     made.append(
@@ -83,7 +83,7 @@ def _sleeve(
             "mean of the gears, at the sheet's supply pressure",
         )
     )
-    spread = told.get("sleeve delay spread")
+    spread = reported.get("sleeve delay spread")
     if spread is not None:
         value = max(spread, LEAST_SPREAD_MS)
         made.append(Entry("sleeve", "delay_sd_ms", value, "within a gear"))

@@ -5,7 +5,7 @@ Under a constant force the way grows with the square of the time since the valve
     sqrt(x / x_c) = (t - t_v) / (t_c - t_v)
 
 so a line through the roots of the measured ways gives the contact t_c, whatever stops the sleeve
-there. Delays are told at the log's mean supply pressure.
+there. Delays are reported at the log's mean supply pressure.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class SleeveFit:
 
     delays_s: dict[MainGear, np.ndarray]
     supply_pa: float
-    """Absolute; the delays are told at this pressure."""
+    """Absolute; the delays are reported at this pressure."""
     used: int
     seen: int
 
@@ -112,16 +112,16 @@ class SleeveFit:
 
 
 def _squares_expected(count: int, correlation: float) -> float:
-    """Expected sum of squares about their mean, of so many values of variance 1."""
+    """Expected sum of squares about their mean, of this many values of variance 1."""
     lags = np.arange(1, count)
     return float(count - 1 - 2.0 * np.sum((1.0 - lags / count) * correlation**lags))
 
 
-def at_supply(delay_s: float, seen_pa: float, told_pa: float, sheet: GearboxSheet) -> float:
+def at_supply(delay_s: float, seen_pa: float, reported_pa: float, sheet: GearboxSheet) -> float:
     """A delay that was seen at one absolute supply pressure, as it would be at another: the valve's
     part stays, the piston's goes with a power of the gauge pressure."""
     valve_s, atmosphere_pa = sheet.sleeve.valve_delay_s, sheet.air.atmosphere_pa
-    share = (seen_pa - atmosphere_pa) / (told_pa - atmosphere_pa)
+    share = (seen_pa - atmosphere_pa) / (reported_pa - atmosphere_pa)
     return float(valve_s + (delay_s - valve_s) * share**PRESSURE_EXPONENT)
 
 

@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.records import Vector
-from meshpoint.testbench.identify.brake_course import (
+from meshpoint.testbench.identify.brake_fit import BrakeFit, whitening
+from meshpoint.testbench.identify.brake_trajectory import (
     GRID_S,
-    BrakeCourses,
-    Course,
+    BrakeTrajectories,
+    Trajectory,
     angles_at,
 )
-from meshpoint.testbench.identify.brake_fit import BrakeFit, whitening
 from meshpoint.testbench.identify.jackknife import jackknife_sd, student
 from meshpoint.testbench.identify.log_reader import Wheel
 from meshpoint.units import TURN, US
@@ -35,13 +35,14 @@ PRIOR_RAD: Final = 0.02
 EDGE_RAD: Final = 3e-4
 """Of an edge's angle beside its tooth's error; it weighs the prior alone."""
 MOST_ODD: Final = 4.0
-"""A span with more left of it than so many times what is usual was not smooth: a sleeve struck."""
+"""A span with more left of it than this many times what is usual was not smooth: a sleeve
+struck."""
 JITTER_RAD: Final = 5e-4
 """Of an edge's angle, by its time's jitter."""
 JUDDER: Final = 4
 JUDDER_RAD_S: Final = 100.0
 JUDDER_PA: Final = 8.5e5
-"""Speed and pressure at which the brake's amplitudes are told."""
+"""Speed and pressure at which the brake's amplitudes are reported."""
 GROUPS: Final = 20
 """Groups of runs that are left out in turn."""
 
@@ -61,7 +62,7 @@ class ToothFit:
     nominal_rad: float = 0.0
     """by a perfect wheel,"""
     spans: int = 0
-    """in so many parts of runs."""
+    """in this many parts of runs."""
 
     @property
     def sd_rad(self) -> Vector:
@@ -105,22 +106,22 @@ def tooth_fit(
 
 
 def teeth_by_model(
-    first: ToothFit, courses: Sequence[Course], model: BrakeCourses, best: BrakeFit
+    first: ToothFit, trajectories: Sequence[Trajectory], model: BrakeTrajectories, best: BrakeFit
 ) -> ToothFit | None:
     """The layshaft's teeth once more, with motion as the brake's model has it, and a torque of
     chance beside it, instead of polynomials: these cannot tell a short run's motion from an
-    eccentric wheel. courses: those that the model was fitted to, of the same order."""
+    eccentric wheel. trajectories: those that the model was fitted to, of the same order."""
     edges = first.error_rad.size
-    groups = min(GROUPS, len(courses))
+    groups = min(GROUPS, len(trajectories))
     angles, speeds, felts = model.run(best.parameters[None], best.omega_rad_s)
     spans = []
-    for number, course in enumerate(courses):
-        motion = angles_at(course.nodes_of_edges, angles[:, 0, number], speeds[:, 0, number])
-        node = course.nodes_of_edges.astype(np.int64)
+    for number, trajectory in enumerate(trajectories):
+        motion = angles_at(trajectory.nodes_of_edges, angles[:, 0, number], speeds[:, 0, number])
+        node = trajectory.nodes_of_edges.astype(np.int64)
         share = felts[node, 0, number] / JUDDER_PA
         speed = speeds[node, 0, number]
-        shape = _judder_shape(share, speed, course.place, edges)
-        spans.append((number % groups, _ModelSpan(course, motion, shape, edges)))
+        shape = _judder_shape(share, speed, trajectory.place, edges)
+        spans.append((number % groups, _ModelSpan(trajectory, motion, shape, edges)))
     found = _fit_spans(spans, groups, edges, PRIOR_RAD**-2.0)
     if found is None:
         return None
@@ -135,14 +136,14 @@ def teeth_by_model(
 class _ModelSpan:
     """A whole run, the model's motion taken out and its errors made independent."""
 
-    def __init__(self, course: Course, motion: Vector, judder: Vector, edges: int) -> None:
-        seconds = (course.nodes_of_edges - course.first_node) * GRID_S
+    def __init__(self, trajectory: Trajectory, motion: Vector, judder: Vector, edges: int) -> None:
+        seconds = (trajectory.nodes_of_edges - trajectory.first_node) * GRID_S
         white = whitening(seconds, np.full(seconds.size, JITTER_RAD**2))
         own, _ = np.linalg.qr(white @ np.stack((np.ones(seconds.size), seconds), axis=1))
         picked = np.zeros((seconds.size, edges + JUDDER))
-        picked[np.arange(seconds.size), course.place.astype(np.int64)] = -1.0
+        picked[np.arange(seconds.size), trajectory.place.astype(np.int64)] = -1.0
         picked[:, edges:] = judder
-        left = white @ (course.theta_rad - motion)
+        left = white @ (trajectory.theta_rad - motion)
         self.left = left - own @ (own.T @ left)
         self.picked = white @ picked
         self.coupled = own.T @ self.picked

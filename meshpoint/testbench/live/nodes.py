@@ -1,4 +1,4 @@
-"""`meshpoint controller` and `meshpoint rig`: the two nodes on a bus, until told to stop."""
+"""`meshpoint controller` and `meshpoint rig`: the two nodes on a bus, until asked to stop."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def add_parser(commands: Any) -> None:
     controller.add_argument(
         "--diagnosis",
         action="store_true",
-        help="what a garage's tool expects of a node: claims its J1939 address, tells trouble "
+        help="what a garage's tool expects of a node: claims its J1939 address, reports trouble "
         "codes (DM1), clears them (DM3, DM11), and answers UDS over ISO-TP (docs/diagnosis.md)",
     )
     controller.add_argument(
         "--shadow",
         action="store_true",
-        help="computes, logs and tells what it would have done beside what the production "
+        help="computes, logs and says what it would have done beside what the production "
         "controller does, and sends nothing at all on the bus; listen-only where the adapter can "
         "(docs/bench.md)",
     )
@@ -190,7 +190,7 @@ def _record_folder(namespace: argparse.Namespace, wire: WireProfile) -> Path | N
 
 
 def run_shadow(namespace: argparse.Namespace) -> int:
-    """A controller that only looks on, until a signal."""
+    """A controller that only watches, until a signal."""
     from meshpoint.bus.driver import run_node
     from meshpoint.controller.warm_up import warm_up
     from meshpoint.testbench.open_loop.shadow import ShadowCore

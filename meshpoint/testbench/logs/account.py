@@ -1,5 +1,5 @@
 """What a log holds, frame by frame: what can be used, and what is foreign, damaged, doubled, late,
-lost or of another contract. A replay tells it, so that nothing is left out in silence.
+lost or of another contract. A replay says it, so that nothing is left out in silence.
 """
 
 from __future__ import annotations

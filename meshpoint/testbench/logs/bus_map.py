@@ -108,7 +108,7 @@ class BusMap:
         self.undecoded = 0
         """Frames of a mapped message that the DBC cannot decode."""
         self.speeds_rpm: list[tuple[str, float]] = []
-        """Speeds that the last frame told: shaft and rpm."""
+        """Speeds that the last frame reported: shaft and rpm."""
 
     def take(self, now_us: int, frame: Frame) -> bool:
         """A frame of the log; whether it is a mapped one."""
@@ -147,10 +147,10 @@ class BusMap:
         """Our sensor frames of this read, of what is mapped and has come."""
         made: list[Any] = []
         for shaft in SHAFTS:
-            told = {p: self._edges.get(f"{shaft}.{p}") for p in ("rise", "fall")}
-            if not any(told.values()):
+            reported = {p: self._edges.get(f"{shaft}.{p}") for p in ("rise", "fall")}
+            if not any(reported.values()):
                 continue
-            for polarity, edges in told.items():
+            for polarity, edges in reported.items():
                 message = getattr(messages, f"Edges{shaft.capitalize()}{polarity.capitalize()}")
                 made.append(message(**_edge_values(edges or _Edges(), now_us)))
         positions = self._positions(now_us)

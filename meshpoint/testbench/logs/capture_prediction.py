@@ -114,5 +114,5 @@ def _length_of_run(follows: Integers) -> Integers:
 
 
 def _places(present: Integers, teeth: int, turns: int) -> Vector:
-    """Where in a cycle of so many turns the edges of the drawing lie, as shares."""
+    """Where in a cycle of this many turns the edges of the drawing lie, as shares."""
     return np.concatenate([present + turn * teeth for turn in range(turns)]) / (turns * teeth)

@@ -1,9 +1,9 @@
 """The teeth of a capture by the whole file: what the node's numbers are checked against.
 
-The node numbers edges one by one as they come and follows their speed. Here the most likely course
-over all intervals is sought, behind and ahead of each edge alike, from nothing but how the lengths
-of neighbouring intervals compare (Viterbi's algorithm, state: the tooth of an edge). It has no
-speed, no filter and no threshold in common with the node.
+The node numbers edges one by one as they come and follows their speed. Here the most likely
+trajectory over all intervals is sought, behind and ahead of each edge alike, from nothing but how
+the lengths of neighbouring intervals compare (Viterbi's algorithm, state: the tooth of an edge). It
+has no speed, no filter and no threshold in common with the node.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from meshpoint.controller.records import Integers, Vector
 from meshpoint.testbench.logs.capture_files import FoundWheel
 
 UNSURE: Final = -1
-"""No tooth can be told: the count breaks near here, or nothing shows where a turn begins."""
+"""No tooth can be determined: the count breaks near here, or nothing shows where a turn begins."""
 BREAK_COST: Final = 5.0
 """What it costs to take the count as broken at an edge. A count that is wrong by one tooth costs
 about four times the logarithm of the gap's length each turn."""
@@ -26,10 +26,10 @@ MOST_COST: Final = 1.5
 
 def true_teeth(lead_us: Integers, wheel: FoundWheel, second_us: Integers) -> Integers:
     """The tooth of each edge of the polarity that teeth begin with, from 0 behind the widest gap;
-    UNSURE where it cannot be told.
+    UNSURE where it cannot be determined.
 
     second_us: edges of a second channel; of a wheel with all its teeth they tell where turns begin,
-    and a turn with another number of edges than teeth is not told."""
+    and a turn with another number of edges than teeth is not reported."""
     if wheel.missing:
         return _by_gaps(lead_us, wheel)
     return _by_marks(lead_us, wheel.teeth, second_us)
@@ -44,11 +44,11 @@ def _by_gaps(lead_us: Integers, wheel: FoundWheel) -> Integers:
     seen = np.diff(intervals)
     # Interval k leads from edge k to k + 1; from place s it is steps[s] long.
     expected = np.log(np.roll(steps, -1)) - np.log(steps)
-    places, breaks = _course(seen, expected)
+    places, breaks = _trajectory(seen, expected)
     teeth = present[places]
     behind_gaps = np.flatnonzero(np.append(False, steps[places[:-1]] > 1.0))
     for at in np.flatnonzero(breaks):
-        # Between two gaps all teeth look alike: where it breaks there cannot be told.
+        # Between two gaps all teeth look alike: where it breaks there cannot be determined.
         k = int(np.searchsorted(behind_gaps, at, "right"))
         begin = behind_gaps[k - 1] if k else 0
         end = behind_gaps[k] if k < behind_gaps.size else teeth.size
@@ -56,7 +56,7 @@ def _by_gaps(lead_us: Integers, wheel: FoundWheel) -> Integers:
     return np.asarray(teeth)
 
 
-def _course(seen: Vector, expected: Vector) -> tuple[Integers, Integers]:
+def _trajectory(seen: Vector, expected: Vector) -> tuple[Integers, Integers]:
     """The likeliest place of every edge, and at which edges the count breaks.
 
     seen (n - 2,): change of the logarithm of the interval at edge 1 ... n - 2; expected (m,): the

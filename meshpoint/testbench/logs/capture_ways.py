@@ -203,9 +203,9 @@ def _seconds(columns: Columns, channel: int) -> Iterator[np.ndarray]:
 
 
 def _once(lines: list[str]) -> list[str]:
-    """Equal reasons of one channel told once."""
-    told: dict[str, list[str]] = {}
+    """Equal reasons of one channel reported once."""
+    reported: dict[str, list[str]] = {}
     for line in lines:
         way, reason = line.split(": ", 1)
-        told.setdefault(reason, []).append(way)
-    return [f"{' / '.join(ways)}: {reason}" for reason, ways in told.items()]
+        reported.setdefault(reason, []).append(way)
+    return [f"{' / '.join(ways)}: {reason}" for reason, ways in reported.items()]

@@ -33,7 +33,7 @@ class Consumption:
         self._added = 0
         self._next_step = -1
         self._place: int | None = None
-        """So many of the frames were consumed up to the last step that fitted; None: unknown."""
+        """This many of the frames were consumed up to the last step that fitted; None: unknown."""
         self._expected = 0
         self._unmet = 0
         self._searches = 0

@@ -60,7 +60,7 @@ class CyclePattern:
             self._learn()
 
     def ahead_us(self, edges: int) -> float:
-        """When the edge after so many will come; there must have been two."""
+        """When the edge after this many will come; there must have been two."""
         return float(self._x[0] + self._x[1] * self.between(self._slots[-1], edges))
 
     def _update(self, share: float, time_us: float) -> None:

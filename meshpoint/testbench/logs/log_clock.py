@@ -45,7 +45,7 @@ BACK_S: Final = 0.01
 LEAST_READS: Final = 100
 MOST_POINTS: Final = 50_000
 MOST_PARTS: Final = 1_000
-MOST_TOLD: Final = 8
+MOST_REPORTED: Final = 8
 STOP_FRAMES: Final = 500
 MOST_HELD: Final = 10_000
 """Entries that wait for the next read: more than a bus carries between two, also where a machine
@@ -179,12 +179,12 @@ def _line_below(read_s: NDArray[np.float64], logged_s: NDArray[np.float64]) -> t
 
 
 def _nearest_s(late_s: NDArray[np.float64], windows: int) -> NDArray[np.float64]:
-    """How far each of so many windows of reads stays from the line at least."""
+    """How far each of this many windows of reads stays from the line at least."""
     return np.array([window.min() for window in np.array_split(late_s, windows)])
 
 
 class LogClockFit:
-    """Takes a log's entries in their order; `finish` tells its clock."""
+    """Takes a log's entries in their order; `finish` reports its clock."""
 
     def __init__(self, unpack: Unpack | None = None) -> None:
         """unpack: makes frames of meshpoint.dbc of those on the bus, of another profile."""
@@ -246,7 +246,9 @@ class LogClock:
     def words(self) -> str:
         """What was done about it, a sentence; empty where the clocks agree."""
         if not self.parts:
-            return "no edge frame tells the sensors' clock: the log's stamps are taken as they are"
+            return (
+                "no edge frame reports the sensors' clock: the log's stamps are taken as they are"
+            )
         apart = [part for part in self.parts if part.differs]
         if not apart:
             return ""
@@ -269,7 +271,7 @@ class LogClock:
                     "rate": round(part.rate, 9),
                     "seconds": round(part.seconds, 3),
                 }
-                for part in self.parts[:MOST_TOLD]
+                for part in self.parts[:MOST_REPORTED]
             ],
         }
 
@@ -334,7 +336,7 @@ class _Shift:
             yield from self.rest(part)
 
     def rest(self, part: Part) -> Iterator[Entry]:
-        """Those whose times no later read tells."""
+        """Those whose times no later read reports."""
         if self._held and self._logged_s is not None:
             newest_s = self._held[-1][0]
             rate = part.rate if part.differs else 1.0

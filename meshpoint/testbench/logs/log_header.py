@@ -1,4 +1,5 @@
-"""The run header that a log names: its controller tells the header's hash in every status frame."""
+"""The run header that a log names: its controller reports the header's hash in every status
+frame."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus
 
 LOOKED_AT: Final = 20_000
-"""A running controller tells its status every 10 ms, among some 15 other frames."""
+"""A running controller reports its status every 10 ms, among some 15 other frames."""
 
 
 def named_header(frames: Iterable[tuple[float, Frame]], folder: Path) -> RunHeader | None:

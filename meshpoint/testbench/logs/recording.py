@@ -76,8 +76,8 @@ async def recording(
     bus_clock: NodeClock,
 ) -> AsyncIterator[None]:
     """Records the bus while the block runs, with a connection of its own that is there before the
-    block begins, stamped by the nodes' clock. A log that cannot be written any more is told, and
-    the block goes on; at its end RunError says that the log is not whole."""
+    block begins, stamped by the nodes' clock. A log that cannot be written any more is reported,
+    and the block goes on; at its end RunError says that the log is not whole."""
     if log is None:
         yield
         return
@@ -89,7 +89,7 @@ async def recording(
         return bus
 
     async def record() -> str:
-        """What ended it; empty: it was told to stop, and the log is whole."""
+        """What ended it; empty: it was asked to stop, and the log is whole."""
         try:
             with log:
                 await record_bus(

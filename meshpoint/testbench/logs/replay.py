@@ -60,7 +60,7 @@ OF_CLASSIC: Final = frozenset({0x0CFF9103, 0x18FF8080})
 """ValveOrders and SensorRead, which a bus of the classic profile has all the time."""
 CLASSIC_LOG: Final = (
     "the log is of --profile classic, whose runs are repeated as they were alone: without another "
-    "strategy or settings; report tells its contacts"
+    "strategy or settings; report reports its contacts"
 )
 NO_STATUS: Final = "the log holds no controller status frame"
 
@@ -74,7 +74,7 @@ class _Recorded:
 
 
 class Onlooker(Protocol):
-    """Looks on while a log is repeated."""
+    """Watches while a log is repeated."""
 
     def start(self, header: RunHeader, errors: dict[str, int]) -> None:
         """A session begins; `errors` of its strategies are counted there."""
@@ -336,7 +336,7 @@ def _without_unprotected_intruders(
     made: list[Frame], logged: list[Frame]
 ) -> tuple[list[Frame], Counter[int]]:
     """A step's frames in the log without those of J1939 that stand beside the very frame that was
-    sent: nothing else tells whose they are. And how many these are, by identifier."""
+    sent: nothing else reports whose they are. And how many these are, by identifier."""
     sent = {frame.can_id: frame for frame in made}
     own: list[Frame] = []
     others: Counter[int] = Counter()

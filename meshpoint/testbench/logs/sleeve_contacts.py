@@ -80,7 +80,7 @@ class _Side:
 
 
 class SleeveContacts:
-    """Takes sleeve frames in order; what a contact was is told as soon as it shows."""
+    """Takes sleeve frames in order; what a contact was is reported as soon as it shows."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         contact_m = sheet.sleeve.to_contact_m

@@ -32,7 +32,7 @@ class AdapterProfile:
     jitter_us: int = 0
     """What comes to that at the most; drawn for each bundle, evenly."""
     bundle_us: int = 0
-    """Frames are handed over together, so often: USB's frame of 1 ms."""
+    """Frames are handed over together, this often: USB's frame of 1 ms."""
     stall_every_us: int = 0
     """Mean time between pauses of driver or machine; 0: none."""
     stall_us: int = 0
@@ -60,7 +60,7 @@ class AdapterProfile:
 
 
 class AdapterCore:
-    """A core behind an adapter, of the same call shape. `now_us` tells the bus's time."""
+    """A core behind an adapter, of the same call shape. `now_us` reports the bus's time."""
 
     def __init__(self, core: Core, profile: AdapterProfile, seed: int) -> None:
         self._core = core

@@ -55,7 +55,7 @@ BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
 POLL_S = 0.05
 MOST_POLLS = 20.0
-"""As many times longer it is waited between two looks on a slow machine, at most."""
+"""As many times longer it is waited between two watches a slow machine, at most."""
 END_S = 15.0
 OF_ADDRESS = {
     **dict.fromkeys(rig_node.ADDRESSES, "rig"),
@@ -147,7 +147,7 @@ class _Recorder:
         return Step([], [])
 
     def shutdown(self, now_us: int) -> Step:
-        """The last look."""
+        """The last step."""
         return self.step(now_us)
 
 
@@ -265,7 +265,7 @@ class _Clocks:
         self.pacemaker: subprocess.Popen[bytes] | None = None
 
     def now_us(self) -> int:
-        """Bus time, for whoever looks on from another thread."""
+        """Bus time, for whoever watches from another thread."""
         return self.bench.now_us() if self._file is None else self._file.now_us
 
     def check(self) -> None:

@@ -49,7 +49,8 @@ class Answer:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Of the other controller's rate: 95 %, of so many shifts; None where none was decided."""
+        """Of the other controller's rate: 95 %, of this many shifts; None where none was
+        decided."""
         return wilson(self.expected, self.decided) if self.decided else None
 
     @property
@@ -113,8 +114,8 @@ def _range(numbers: list[str]) -> str:
 def of_judged(rows: list[JudgedRow], seen: list[SeenShift], other: str) -> Answer:
     """Our own controller's run: each shift with the landing worked out for the other one."""
     contacts = [_contact(row, seen) for row in rows]
-    told = [contact for contact in contacts if contact is not None]
-    answer = Answer(len(told), told.count("gap"), other=other)
+    reported = [contact for contact in contacts if contact is not None]
+    answer = Answer(len(reported), reported.count("gap"), other=other)
     for row, contact in zip(rows, contacts, strict=True):
         found = row.judged.counterfactual if row.judged is not None else None
         if row.judged is not None and row.judged.parted is None and contact is not None:
@@ -136,9 +137,9 @@ def of_judged(rows: list[JudgedRow], seen: list[SeenShift], other: str) -> Answe
 
 def of_another(seen: list[SeenShift], other: str, why: str) -> Answer:
     """A controller that is not ours: its contacts alone."""
-    told = [shift.contact for shift in seen if shift.contact is not None]
-    answer = Answer(len(told), told.count("gap"), other=other)
-    answer.why_not[why] += len(told)
+    reported = [shift.contact for shift in seen if shift.contact is not None]
+    answer = Answer(len(reported), reported.count("gap"), other=other)
+    answer.why_not[why] += len(reported)
     return answer
 
 

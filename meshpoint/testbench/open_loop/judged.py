@@ -14,15 +14,15 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.open_loop.course import (
-    Course,
+from meshpoint.testbench.open_loop.landing import Counterfactual
+from meshpoint.testbench.open_loop.trajectory import (
     Decision,
     Said,
-    course_parted_ms,
+    Trajectory,
     decision_of,
     differing,
+    trajectory_parted_ms,
 )
-from meshpoint.testbench.open_loop.landing import Counterfactual
 
 Known = TypeVar("Known")
 
@@ -62,13 +62,13 @@ class Judged:
     """The first firing of the recorded controller; None where it fired no sleeve."""
     parted: OfCommands | None
     """None: it commands what was recorded."""
-    course_parted_ms: float | None
+    trajectory_parted_ms: float | None
     """When a valve is first driven, or clutch or engine commanded, differently: later frames answer
     to other commands than its own."""
     judged_to_ms: float | None
     """When the recorded sleeve was expected at its gear: decisions after it mean nothing."""
     contact_why: str
-    """Why it is not told where the tooth would have met."""
+    """Why it is not reported where the tooth would have met."""
     strayed_at_step: int | None = None
     """From this step on the recorded controller is not repeated exactly."""
     decisions: list[Decision] = field(default_factory=list)
@@ -81,27 +81,27 @@ class Judged:
     """Where its tooth would have landed, worked out; None where that was not asked for."""
 
     @property
-    def on_own_course(self) -> bool | None:
+    def on_own_trajectory(self) -> bool | None:
         """Whether the last decision was made on frames that answer to its own commands."""
         if self.last is None:
             return None
-        return self.course_parted_ms is None or self.last.at_ms < self.course_parted_ms
+        return self.trajectory_parted_ms is None or self.last.at_ms < self.trajectory_parted_ms
 
     @property
-    def last_on_own_course(self) -> Decision | None:
+    def last_on_own_trajectory(self) -> Decision | None:
         """Its last decision on frames that answer to its own commands."""
-        end_ms = self.course_parted_ms
+        end_ms = self.trajectory_parted_ms
         own = [d for d in self.decisions if end_ms is None or d.at_ms < end_ms]
         return own[-1] if own else None
 
     def without_traces(self) -> Judged:
         """The same, as rows and tables need it."""
-        last, found = self.last_on_own_course, self.counterfactual
+        last, found = self.last_on_own_trajectory, self.counterfactual
         return replace(
             self,
             decisions=[] if last is None else [last],
             driven={},
-            counterfactual=None if found is None else replace(found, course=()),
+            counterfactual=None if found is None else replace(found, trajectory=()),
         )
 
     @property
@@ -116,7 +116,7 @@ class Judged:
 
     def to_json(self) -> dict[str, Any]:
         """By name, as `replay --strategy --json` has it; without what the log says."""
-        last, told = self.last, self.fired_ms is not None
+        last, reported = self.last, self.fired_ms is not None
         values = {
             "from": self.from_,
             "to": self.to,
@@ -127,13 +127,13 @@ class Judged:
             "fault": self.fault,
             "release_ms": last.release_ms if last else None,
             "fired_ms": self.fired_ms,
-            "expected_contact_ms": last.expected_contact_ms if last and told else None,
-            "predicted_phase_deg": last.predicted_phase_deg if last and told else None,
-            "predicted_phase_sd_deg": last.predicted_phase_sd_deg if last and told else None,
-            "predicted_slip_rpm": last.predicted_slip_rpm if last and told else None,
+            "expected_contact_ms": last.expected_contact_ms if last and reported else None,
+            "predicted_phase_deg": last.predicted_phase_deg if last and reported else None,
+            "predicted_phase_sd_deg": last.predicted_phase_sd_deg if last and reported else None,
+            "predicted_slip_rpm": last.predicted_slip_rpm if last and reported else None,
             "decided_ms": last.at_ms if last else None,
-            "on_own_course": self.on_own_course,
-            "course_parted_ms": self.course_parted_ms,
+            "on_own_trajectory": self.on_own_trajectory,
+            "trajectory_parted_ms": self.trajectory_parted_ms,
             "judged_to_ms": self.judged_to_ms,
             "contact": None,
             "contact_why": self.contact_why,
@@ -141,26 +141,26 @@ class Judged:
             "strayed_at_step": self.strayed_at_step,
             "events": self.events,
         }
-        own = self.last_on_own_course
+        own = self.last_on_own_trajectory
         return {
             **rounded(values),
-            "last_on_own_course": None if own is None else rounded(vars(own)),
+            "last_on_own_trajectory": None if own is None else rounded(vars(own)),
             "parted": _parting_json(self.parted),
         }
 
     def _counterfactual_json(self) -> dict[str, Any] | None:
         if self.counterfactual is None:
             return None
-        told = {"decidable": self.counterfactual.decidable} | vars(self.counterfactual)
-        told.pop("course")
-        return rounded(told | {"why": self.counterfactual.why or None})
+        reported = {"decidable": self.counterfactual.decidable} | vars(self.counterfactual)
+        reported.pop("trajectory")
+        return rounded(reported | {"why": self.counterfactual.why or None})
 
 
 def judge(
     outcome: ShiftOutcome,
     step_us: int,
-    recorded: Course,
-    replayed: Course,
+    recorded: Trajectory,
+    replayed: Trajectory,
     record: ShiftRecord | None,
     settings: ControllerSettings,
     *,
@@ -182,9 +182,9 @@ def judge(
     status, last, fault = _status(mine, record, judged_to_ms, step_us, replayed)
     driven = replayed.driven(step_us, request_us)
     parted = _parting(recorded, replayed, step_us, request_us, judged_to_ms)
-    course_ms = course_parted_ms(recorded, replayed, step_us, request_us)
-    if judged_to_ms is not None and course_ms is not None and course_ms >= judged_to_ms:
-        course_ms = None
+    trajectory_ms = trajectory_parted_ms(recorded, replayed, step_us, request_us)
+    if judged_to_ms is not None and trajectory_ms is not None and trajectory_ms >= judged_to_ms:
+        trajectory_ms = None
     end_ms = math.inf if judged_to_ms is None else judged_to_ms
     if status == "fired" and last is not None:
         end_ms = last.at_ms
@@ -203,7 +203,7 @@ def judge(
         last=last,
         recorded=firing,
         parted=parted,
-        course_parted_ms=course_ms,
+        trajectory_parted_ms=trajectory_ms,
         judged_to_ms=judged_to_ms,
         contact_why=_contact_why(status, last, parted, firing),
         strayed_at_step=strayed,
@@ -223,7 +223,7 @@ def _status(
     record: ShiftRecord | None,
     judged_to_ms: float | None,
     step_us: int,
-    replayed: Course,
+    replayed: Trajectory,
 ) -> tuple[str, Decision | None, str]:
     """What became of it up to there, by its first firing or else its last decision; its fault."""
     if record is None or record.result is ShiftResult.REFUSED:
@@ -243,8 +243,8 @@ def _status(
 
 
 def _parting(
-    recorded: Course,
-    replayed: Course,
+    recorded: Trajectory,
+    replayed: Trajectory,
     step_us: int,
     request_us: int,
     judged_to_ms: float | None,

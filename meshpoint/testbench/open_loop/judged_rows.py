@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.testbench.open_loop.course import Decision
 from meshpoint.testbench.open_loop.judged import Judged, rounded
 from meshpoint.testbench.open_loop.landing import Counterfactual
+from meshpoint.testbench.open_loop.trajectory import Decision
 from meshpoint.testbench.results.output import broken, counted, number
 from meshpoint.testbench.results.rows import ShiftRow
 
@@ -76,10 +76,10 @@ def _cells(row: JudgedRow) -> list[str]:
     recorded, judged = row.recorded, row.judged
     was = ["-"] * 6
     if judged is not None:
-        told = judged.last if judged.fired_ms is not None else None
+        reported = judged.last if judged.fired_ms is not None else None
         parted = judged.parted.at_ms if judged.parted else None
-        fires = judged.status if told is None else number(told.fired_ms, 1)
-        was = [broken(judged.strategy), fires, _phase_text(told), number(parted, 1)]
+        fires = judged.status if reported is None else number(reported.fired_ms, 1)
+        was = [broken(judged.strategy), fires, _phase_text(reported), number(parted, 1)]
         was += _landing_cells(judged.counterfactual)
     return [*was, broken(recorded.strategy), recorded.contact or "-"]
 
@@ -121,10 +121,10 @@ def _landings(judged: Sequence[Judged], asked: str) -> str:
     """Where the other strategy would have landed, in words."""
     landings = [shift.counterfactual for shift in judged if shift.counterfactual is not None]
     chances = [found.contact_probability for found in landings if found.decidable]
-    told = [chance for chance in chances if chance is not None]
-    if not told:
+    reported = [chance for chance in chances if chance is not None]
+    if not reported:
         return f"where {asked} would have met is not in it"
     return (
-        f"where {asked} would have met is worked out for {counted(len(told))} (95 % intervals): "
-        f"{sum(told):.1f} first contacts in a gap are expected of these"
+        f"where {asked} would have met is worked out for {counted(len(reported))} (95 % intervals)"
+        f": {sum(reported):.1f} first contacts in a gap are expected of these"
     )

@@ -2,8 +2,8 @@
 
 From the step at which a valve is first driven differently, the log's frames answer to other
 commands than the other controller's. So its shift sequence goes on with estimates worked out from
-the log: the recorded course, plus what the differing brake commands do to the layshaft by the
-learned brake. This is done many times, with what is uncertain drawn anew: brake gain, pressure law
+the log: the recorded trajectory, plus what the differing brake commands do to the layshaft by the
+learned brake. This is done many times, with what is uncertain drawn again: brake gain, pressure law
 and delays, drag, the angle of both shafts, the reference, the sleeve's delay. The spread of the
 landings is the interval.
 
@@ -33,9 +33,9 @@ from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.testbench.open_loop.copies import copied
-from meshpoint.testbench.open_loop.recorded_course import (
+from meshpoint.testbench.open_loop.recorded_trajectory import (
     BrakeDifference,
-    RecordedCourse,
+    RecordedTrajectory,
     Seen,
     last_release_us,
 )
@@ -57,7 +57,7 @@ VISCOUS_SD: Final = 0.3
 """How much of the drag beyond the data sheet's falls with the speed: the estimator has it steady.
 Nothing is known of it but that it lies between 0 and 1."""
 DRAWS: Final = 32
-"""So many times it is worked out; the interval's width is then known to about an eighth."""
+"""This many times it is worked out; the interval's width is then known to about an eighth."""
 TICK_US: Final = 10_000
 TRACE_US: Final = 5_000
 LONGEST_US: Final = 700_000
@@ -67,7 +67,8 @@ REFERENCE_SD_RAD: Final = math.radians(0.1)
 GAIN_SD: Final = 0.01
 """Of the brake's gain between two moments of a shift, beside what the filter claims: discs warm."""
 MOST_SD_SHARE: Final = 0.125
-"""A landing less certain than this, in pitches, is not told: its interval would be half a pitch."""
+"""A landing less certain than this, in pitches, is not reported: its interval would be half a
+pitch."""
 STUDENT_95: Final = 2.04
 """Of `DRAWS` - 1 degrees of freedom."""
 MODELLED: Final = frozenset({ControllerState.SYNCHRONISING, ControllerState.COASTING})
@@ -92,14 +93,15 @@ class Counterfactual:
     contact_probability: float | None = None
     """Of first meeting a gap."""
     beyond_record_ms: float | None = None
-    """For how long before the landing the recorded course had ended; 0: it lasted long enough."""
-    course: tuple[tuple[float, float, float], ...] = ()
-    """The likeliest course from the parting to the landing: ms since the request, slip in rpm,
+    """For how long before the landing the recorded trajectory had ended; 0: it lasted long
+    enough."""
+    trajectory: tuple[tuple[float, float, float], ...] = ()
+    """The likeliest trajectory from the parting to the landing: ms since the request, slip in rpm,
     phase in deg unwrapped."""
 
     @property
     def decidable(self) -> bool:
-        """Whether a landing is told."""
+        """Whether a landing is reported."""
         return not self.why
 
 
@@ -138,7 +140,7 @@ class _Speeds:
 
 
 class PartedController:
-    """The other controller at the last step that it took on its own course."""
+    """The other controller at the last step that it took on its own trajectory."""
 
     def __init__(self, core: ControllerCore, step: int) -> None:
         self.sheet, self.settings = core.header.sheet, core.header.settings
@@ -150,7 +152,7 @@ class PartedController:
         tracker = snapshot.layshaft
         self.model = tracker.model if tracker.free else None
         self.step = step
-        """The next step is this one of the recorded course."""
+        """The next step is this one of the recorded trajectory."""
         record = core.running_shift
         self.gear = record.target.main if record else MainGear.NEUTRAL
         self.request_us = record.request_us if record else 0
@@ -164,8 +166,8 @@ class PartedController:
             return ""
         if state not in MODELLED or self.model is None:
             return (
-                f"the courses part while {state.name.lower().replace('_', ' ')}: clutch, engine "
-                "and old gear have no model here"
+                f"the trajectories part while {state.name.lower().replace('_', ' ')}: clutch, "
+                "engine and old gear have no model here"
             )
         return ""
 
@@ -183,13 +185,17 @@ class _Draw:
     """One way in which it may have been; all zeros: the likeliest."""
 
     def __init__(
-        self, parting: PartedController, course: RecordedCourse, known: BrakeModel, normal: Vector
+        self,
+        parting: PartedController,
+        trajectory: RecordedTrajectory,
+        known: BrakeModel,
+        normal: Vector,
     ) -> None:
-        self._parting, self._course, self._normal = parting, course, normal
+        self._parting, self._trajectory, self._normal = parting, trajectory, normal
         self.sequence = copied(
             parting.sequence, parting.sheet, parting.settings, parting.sequence.references
         )
-        newest = course.newest
+        newest = trajectory.newest
         spread = 0.0 if newest.covariance is None else float(newest.covariance[GAIN, GAIN])
         gain = newest.gain + math.hypot(math.sqrt(max(spread, 0.0)), GAIN_SD) * normal[0]
         as_built = known.varied(normal[NORMALS - PARAMETERS :])
@@ -197,10 +203,10 @@ class _Draw:
         touch_pa = touch.value + math.hypot(touch.sd, TOUCH_SD_PA) * normal[6]
         as_built.touch_and_lag = uncorrelated((abs(touch_pa), touch.sd), (lag.value, lag.sd))
         viscous = max(0.0, VISCOUS_SHARE + VISCOUS_SD * normal[5])
-        self._drag_rad_s2 = viscous * course.eased_rad_s2
-        self._drag_rad_s2 += DRAG_SD_SHARE * course.coasting_rad_s2 * normal[4]
-        start_us = float(course.steps[max(0, parting.step - 1)].now_us)
-        self.difference = BrakeDifference(course, start_us, gain, known, as_built)
+        self._drag_rad_s2 = viscous * trajectory.eased_rad_s2
+        self._drag_rad_s2 += DRAG_SD_SHARE * trajectory.coasting_rad_s2 * normal[4]
+        start_us = float(trajectory.steps[max(0, parting.step - 1)].now_us)
+        self.difference = BrakeDifference(trajectory, start_us, gain, known, as_built)
         self._ratio = parting.sheet.main_mesh(parting.gear).ratio
         self._share = self.sequence.drifts.spread_share(parting.gear)
         self._drift = self.sequence.drifts.rad_s(parting.gear)
@@ -211,7 +217,7 @@ class _Draw:
         plan = sequence.running.plan if sequence.state is ControllerState.ENGAGING else None
         if parting.model is not None and plan is None:
             layshaft = _Layshaft(parting.model)
-            for seen in _steps(self._course, parting.step):
+            for seen in _steps(self._trajectory, parting.step):
                 sequence.step(self._snapshot(seen, layshaft))
                 decided = sequence.decision
                 if decided is not None and decided.decision is ShiftDecision.COMMITTED:
@@ -228,10 +234,10 @@ class _Draw:
 
     def _snapshot(self, seen: Seen, layshaft: _Layshaft) -> StepSnapshot:
         """What it would have known at a step."""
-        course, now_us = self._course, seen.now_us
+        trajectory, now_us = self._trajectory, seen.now_us
         edge_us = float(now_us - 5_000) if seen.layshaft is None else seen.layshaft.time_us
         state = layshaft.state = self._state(edge_us)
-        main = course.main(now_us, known_us=now_us)
+        main = trajectory.main(now_us, known_us=now_us)
         speeds = _Speeds(self._parting.sheet, state.omega_rad_s, main.omega_rad_s)
         commands = map(self.sequence.board.command, ValveName)
         return StepSnapshot(
@@ -251,22 +257,22 @@ class _Draw:
         brake = self.sequence.brake
         state = self.difference.at(time_us, brake)
         release_us = last_release_us(brake, time_us)
-        angle_s2, speed_s = self._course.unseen_release(release_us, time_us)
+        angle_s2, speed_s = self._trajectory.unseen_release(release_us, time_us)
         return state._replace(
             theta_rad=state.theta_rad + self._drag_rad_s2 * angle_s2,
             omega_rad_s=state.omega_rad_s + self._drag_rad_s2 * speed_s,
         )
 
     def _landing(self, fire_us: int) -> _Landing:
-        sequence, course, gear = self.sequence, self._course, self._parting.gear
+        sequence, trajectory, gear = self.sequence, self._trajectory, self._parting.gear
         delay_us = sequence.delays.delay_us(gear)
         delay_us += sequence.delays.delay_sd_s(gear) / US * self._normal[DELAY]
         contact_us = fire_us + delay_us
-        state, main = self._state(contact_us), course.main(contact_us)
+        state, main = self._state(contact_us), trajectory.main(contact_us)
         theta_main = main.theta_at(contact_us)
-        drifted = self._drift * max(0.0, contact_us - course.newest.time_us) * US
+        drifted = self._drift * max(0.0, contact_us - trajectory.newest.time_us) * US
         angles = math.hypot(
-            self._ratio * course.layshaft_sd_rad(contact_us), course.main_sd_rad(contact_us)
+            self._ratio * trajectory.layshaft_sd_rad(contact_us), trajectory.main_sd_rad(contact_us)
         )
         off = self._share * angles * self._normal[2]
         off += REFERENCE_SD_RAD * self._normal[3]
@@ -276,13 +282,13 @@ class _Draw:
         return _Landing(fire_us, contact_us, wrap_to_pitch(phase, pitch), slip)
 
     def trace(self, landing: _Landing) -> tuple[tuple[float, float, float], ...]:
-        """The course until then, for drawing."""
-        parting, course = self._parting, self._course
-        first_us = course.steps[min(parting.step, len(course.steps) - 1)].now_us
+        """The trajectory until then, for drawing."""
+        parting, trajectory = self._parting, self._trajectory
+        first_us = trajectory.steps[min(parting.step, len(trajectory.steps) - 1)].now_us
         count = max(2, round((landing.contact_us - first_us) / TRACE_US))
         points = []
         for time_us in np.linspace(min(first_us, landing.contact_us), landing.contact_us, count):
-            state, main = self._state(time_us), course.main(time_us)
+            state, main = self._state(time_us), trajectory.main(time_us)
             slip = slip_rad_s(self._ratio, state.omega_rad_s, main.omega_at(time_us))
             phase = self.sequence.references.phase_rad(
                 parting.gear, state.theta_rad, main.theta_at(time_us)
@@ -292,9 +298,9 @@ class _Draw:
         return tuple((at_ms, slip, (phase - end) / DEG) for at_ms, slip, phase in points)
 
 
-def _steps(course: RecordedCourse, first: int) -> list[Seen]:
+def _steps(trajectory: RecordedTrajectory, first: int) -> list[Seen]:
     """The recorded steps from one on, then one each tick."""
-    steps = course.steps[first:]
+    steps = trajectory.steps[first:]
     if not steps:
         return []
     last = steps[-1]
@@ -306,7 +312,7 @@ def _steps(course: RecordedCourse, first: int) -> list[Seen]:
 
 def work_out(
     parting: PartedController,
-    course: RecordedCourse,
+    trajectory: RecordedTrajectory,
     known: BrakeModel,
     seed: int,
     draws: int = DRAWS,
@@ -317,10 +323,10 @@ def work_out(
         return undecidable(parting.refusal)
     if not parting.knows:
         return undecidable("the gear's phase reference was unknown")
-    if not course.is_usable:
+    if not trajectory.is_usable:
         return undecidable("the recorded estimator does not know how wrong it is")
     rng = np.random.Generator(np.random.PCG64([0xCF, seed]))
-    middle = _Draw(parting, course, known, np.zeros(NORMALS))
+    middle = _Draw(parting, trajectory, known, np.zeros(NORMALS))
     likeliest = middle.land()
     if isinstance(likeliest, str):
         return undecidable(likeliest)
@@ -330,23 +336,26 @@ def work_out(
         normal = rng.standard_normal(NORMALS)
         # The delay's scatter is known from few shifts: Student's law.
         normal[DELAY] *= math.sqrt(freedom / rng.chisquare(freedom))
-        found = _Draw(parting, course, known, normal).land()
+        found = _Draw(parting, trajectory, known, normal).land()
         if isinstance(found, str):
             return undecidable(f"in some of the ways in which it may have been, {found}")
         landings.append(found)
-    told = _told(parting, course, likeliest, landings)
-    return replace(told, course=middle.trace(likeliest))
+    reported = _reported(parting, trajectory, likeliest, landings)
+    return replace(reported, trajectory=middle.trace(likeliest))
 
 
-def _told(
-    parting: PartedController, course: RecordedCourse, likeliest: _Landing, landings: list[_Landing]
+def _reported(
+    parting: PartedController,
+    trajectory: RecordedTrajectory,
+    likeliest: _Landing,
+    landings: list[_Landing],
 ) -> Counterfactual:
     pitch = parting.sheet.dog.pitch_rad
     turned = np.exp(1j * np.array([landing.phase_rad for landing in landings]) / pitch * math.tau)
     middle = float(np.angle(turned.mean())) / math.tau * pitch
     away = [wrap_to_pitch(landing.phase_rad - middle, pitch) for landing in landings]
     sd = math.sqrt(sum(one * one for one in away) / (len(away) - 1))
-    beyond_us = likeliest.contact_us - course.newest.time_us
+    beyond_us = likeliest.contact_us - trajectory.newest.time_us
     values = Counterfactual(
         fired_ms=(likeliest.fire_us - parting.request_us) / 1000,
         contact_ms=(likeliest.contact_us - parting.request_us) / 1000,

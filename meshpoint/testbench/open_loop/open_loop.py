@@ -22,7 +22,6 @@ from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerState, ControllerStatus
 from meshpoint.testbench.open_loop.copies import copied
-from meshpoint.testbench.open_loop.course import Course, course_parted_ms, differing, said
 from meshpoint.testbench.open_loop.judged import Judged, judge
 from meshpoint.testbench.open_loop.landing import (
     DRAWS,
@@ -31,7 +30,13 @@ from meshpoint.testbench.open_loop.landing import (
     undecidable,
     work_out,
 )
-from meshpoint.testbench.open_loop.recorded_course import RecordedCourse
+from meshpoint.testbench.open_loop.recorded_trajectory import RecordedTrajectory
+from meshpoint.testbench.open_loop.trajectory import (
+    Trajectory,
+    differing,
+    said,
+    trajectory_parted_ms,
+)
 
 SHIFTING: Final = frozenset(ControllerState) - {
     ControllerState.STARTING,
@@ -51,15 +56,15 @@ class _Branch:
     step_us: int
     known: int
     """Gears whose phase reference was known at the request, one bit each."""
-    recorded: Course = field(default_factory=Course)
-    replayed: Course = field(default_factory=Course)
+    recorded: Trajectory = field(default_factory=Trajectory)
+    replayed: Trajectory = field(default_factory=Trajectory)
     record: ShiftRecord | None = None
-    course: RecordedCourse = field(default_factory=RecordedCourse)
+    trajectory: RecordedTrajectory = field(default_factory=RecordedTrajectory)
     parting: PartedController | None = None
     sent: list[tuple[float, list[Frame]]] = field(default_factory=list)
     """Frames of each step, by ms since the request."""
     undriven: str = ""
-    """What else than valves was commanded differently when the courses parted."""
+    """What else than valves was commanded differently when the trajectories parted."""
 
     def step(self, time_us: int, consumed: list[Frame]) -> None:
         """The same frames at the same step."""
@@ -77,25 +82,25 @@ class _Branch:
         if self.parting is not None or self.record is None or not differing(theirs, mine):
             return
         request_us = self.record.request_us
-        if course_parted_ms(self.recorded, self.replayed, self.step_us, request_us) is None:
+        if trajectory_parted_ms(self.recorded, self.replayed, self.step_us, request_us) is None:
             return
         self.undriven = " and ".join({"clutch", "engine"} & set(differing(theirs, mine)))
-        self.parting = PartedController(self.core, len(self.course.steps) + 1)
+        self.parting = PartedController(self.core, len(self.trajectory.steps) + 1)
 
     def counterfactual(self, known: BrakeModel, judged: Judged, draws: int) -> Counterfactual:
-        """Where its tooth would have landed. The recorded course is closed; known: the brake as
+        """Where its tooth would have landed. The recorded trajectory is closed; known: the brake as
         learned by then."""
         if judged.parted is None:
             return undecidable(judged.contact_why)
-        if self.parting is None or judged.course_parted_ms is None:
+        if self.parting is None or judged.trajectory_parted_ms is None:
             return undecidable(judged.contact_why)
         if self.undriven:
             return undecidable(f"{self.undriven} commanded otherwise: they have no model here")
-        return work_out(self.parting, self.course, known, judged.request_us, draws)
+        return work_out(self.parting, self.trajectory, known, judged.request_us, draws)
 
 
 class OpenLoop:
-    """Looks on while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`).
+    """Watches while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`).
 
     change(header): the header of the other controller. A session in which nothing can be repeated
     has no shifts.
@@ -109,7 +114,7 @@ class OpenLoop:
         keeps_traces: bool = True,
     ) -> None:
         """draws: of each shift's landing (`counterfactual`); 0: landings are not worked out.
-        keeps_traces: each shift's decisions and courses are kept, for drawing."""
+        keeps_traces: each shift's decisions and trajectories are kept, for drawing."""
         self._keeps_traces = keeps_traces
         self._change = change
         self._draws = draws
@@ -198,7 +203,7 @@ class OpenLoop:
             brake, known = self._follower.brake, self._follower.observer.brake
         if branch is None:
             return
-        branch.course.take(seen, core.running_shift, brake)
+        branch.trajectory.take(seen, core.running_shift, brake)
         if was.ended is None:
             return
         self._branch = None
@@ -216,7 +221,7 @@ class OpenLoop:
             strayed=self._strayed,
         )
         if self._draws:
-            branch.course.close()
+            branch.trajectory.close()
             landing = branch.counterfactual(known, judged, self._draws)
             judged = replace(judged, counterfactual=landing)
         self.judged[key] = judged if self._keeps_traces else judged.without_traces()

@@ -33,11 +33,11 @@ from meshpoint.testbench.logs.captures import READ_US
 from meshpoint.testbench.logs.gear_track import GearTrack, RatioTrack
 from meshpoint.testbench.logs.seen_shift import SeenShift
 from meshpoint.testbench.open_loop.copies import copied
-from meshpoint.testbench.open_loop.course import said
+from meshpoint.testbench.open_loop.trajectory import said
 from meshpoint.units import DEG, RPM, SECOND_US
 
 LONG_US: Final = 1_000_000
-"""A log that is silent for longer is told; in it the controller makes one step."""
+"""A log that is silent for longer is reported; in it the controller makes one step."""
 ETC1_CODEC: Final = CODECS[ETC1.__name__]
 ETC1_PGN: Final = pgn(ETC1_CODEC.spec.can_id)
 NAMES: Final = {codec.spec.can_id: codec.spec.name for codec in CODECS.values()}
@@ -53,7 +53,7 @@ NEEDS: Final = (
      "and range are known by their sleeves alone"),
     (("SleevesMain", "SleevesAux"), "no sleeve positions: neither the gear nor an engagement is "
      "known, so no phase reference is learned and no shift is begun"),
-    (("GearboxSensors",), "no pressures: the brake's course is its model's alone"),
+    (("GearboxSensors",), "no pressures: the brake's trajectory is its model's alone"),
     (("ValveStatus",), "no status of the valves: no shift is begun"),
     (("TC1",), "no request (TC1): no decision is asked for"),
 )  # fmt: skip
@@ -62,7 +62,7 @@ NEEDS: Final = (
 
 class LogTime:
     """The log's time made steady: from 10 s on in us, never back. A clock that was set back
-    (daylight saving, another file's start) is told and stands still until it is past."""
+    (daylight saving, another file's start) is reported and stands still until it is past."""
 
     def __init__(self) -> None:
         self._last_s: float | None = None

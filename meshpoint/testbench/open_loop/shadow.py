@@ -33,7 +33,7 @@ class ShadowCore:
         self._heard = Receiver(*Node)
         self._inbox: list[Frame] = []
         self._due_us = 0
-        self._told = 0
+        self._reported = 0
         self.frames = 0
         """Frames of any node that were heard."""
 
@@ -88,15 +88,15 @@ class ShadowCore:
     def _tell_decided(self) -> None:
         """Each request's decision, once it has been made."""
         decided = self._replay.decided()
-        for row in decided[self._told :]:
+        for row in decided[self._reported :]:
             after = "" if row["fired_ms"] is None else f" after {row['fired_ms']} ms"
             phase = row["predicted_phase_deg"]
-            told = "" if phase is None else f", expecting {phase:+.2f} deg"
+            reported = "" if phase is None else f", expecting {phase:+.2f} deg"
             why = "" if row["fault"] == "none" else f" ({row['fault']})"
             self._lines.append(
-                f"shadow {row['from']} -> {row['to']}: {row['status']}{after}{told}{why}"
+                f"shadow {row['from']} -> {row['to']}: {row['status']}{after}{reported}{why}"
             )
-        self._told = len(decided)
+        self._reported = len(decided)
 
     def _beside(self, seen: SeenShift) -> str:
         """A shift of the production controller, as the sensors show it."""

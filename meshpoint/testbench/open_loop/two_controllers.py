@@ -33,7 +33,7 @@ class JudgedTwice:
 
 
 class TwoControllers:
-    """Looks on while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`)."""
+    """Watches while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`)."""
 
     def __init__(self, a: Change, b: Change, allowed: Allowed) -> None:
         self._loops = OpenLoop(a, draws=0), OpenLoop(b, draws=0)

@@ -165,7 +165,7 @@ class _One(NamedTuple):
 
 
 def _each(namespace: argparse.Namespace, stop: Callable[[], bool]) -> int:
-    """Every log as a bus of its own, some at a time; told in their order."""
+    """Every log as a bus of its own, some at a time; reported in their order."""
     if namespace.report is not None:
         raise CommandError("--report draws one bus: not with --jobs")
     alone = [argparse.Namespace(**vars(namespace) | {"log": [path]}) for path in namespace.log]

@@ -61,8 +61,8 @@ def asked(namespace: argparse.Namespace) -> bool:
 def run(
     namespace: argparse.Namespace, files: list[Path], why: str, stop: Callable[[], bool]
 ) -> tuple[int, dict[str, Any]]:
-    """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
-    asked for. A log that is torn gives all before that, and bad input."""
+    """Replays, and shows what the log reports and what it does not. why: it was chosen, if it was
+    not asked for. A log that is torn gives all before that, and bad input."""
     check_report(namespace.report)
     gearbox = namespace.gearbox or DEFAULT_PRESET.sheet_name
     sheet = load_sheet(gearbox)
@@ -148,8 +148,8 @@ def _show(out: Any, replay: SensorReplay, lines: list[str]) -> None:
     for row in replay.decided():
         after = "" if row["fired_ms"] is None else f" after {row['fired_ms']} ms"
         phase = row["predicted_phase_deg"]
-        told = "phase unknown" if phase is None else f"phase {phase:+.2f} deg expected"
-        line = f"asked {row['from']} -> {row['to']}: {row['status']}{after}, {told}"
+        reported = "phase unknown" if phase is None else f"phase {phase:+.2f} deg expected"
+        line = f"asked {row['from']} -> {row['to']}: {row['status']}{after}, {reported}"
         out.print(line)
 
 

@@ -36,9 +36,9 @@ from meshpoint.testbench.report.phase import estimated_phase, true_phase
 from meshpoint.testbench.report.replayed import (
     FAR,
     replayed_bars,
-    replayed_course,
     replayed_events,
     replayed_predictions,
+    replayed_trajectory,
 )
 
 HOLE_MS: Final = 50.0
@@ -73,7 +73,7 @@ def shift_figure(shift: ReportShift, sheet: GearboxSheet) -> Figure:
         *_phases(shift, gear, ratio),
         *_predictions(shift),
         *replayed_predictions(shift),
-        *replayed_course(shift),
+        *replayed_trajectory(shift),
     ]
     return {
         "data": [trace for trace in data if trace["x"]],

@@ -27,10 +27,10 @@ def motion(shift: ReportShift, sheet: GearboxSheet) -> dict[str, Any] | None:
     `sleeve_mm` each millisecond, towards the gear positive. None without a contact or its truth."""
     contact_ms, contact_deg = shift.contact_ms, shift.contact_phase_deg
     after = DRIVE_GEARS[shift.row.to].main
-    course = _course(shift, after.name.lower(), sheet.main_mesh(after).ratio)
-    if contact_ms is None or contact_deg is None or course is None:
+    trajectory = _trajectory(shift, after.name.lower(), sheet.main_mesh(after).ratio)
+    if contact_ms is None or contact_deg is None or trajectory is None:
         return None
-    at_ms, phase_deg = course
+    at_ms, phase_deg = trajectory
     kept = at_ms >= contact_ms - BEFORE_MS
     beyond = np.searchsorted(at_ms[kept], contact_ms)
     times = np.insert(at_ms[kept], beyond, contact_ms)
@@ -60,7 +60,7 @@ def geometry(sheet: GearboxSheet) -> dict[str, float]:
     }
 
 
-def _course(shift: ReportShift, gear: str, ratio: float) -> tuple[Vector, Vector] | None:
+def _trajectory(shift: ReportShift, gear: str, ratio: float) -> tuple[Vector, Vector] | None:
     """The phase at the encoder's rate: samples of the truth, 10 ms apart, joined by the slip."""
     sample_ms, sample_deg = true_phase(shift, gear, ratio)
     layshaft, main = shift.points("layshaft_rpm"), shift.points("main_rpm")

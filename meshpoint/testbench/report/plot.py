@@ -14,7 +14,7 @@ from meshpoint.testbench.report.phase import estimated_phase, true_phase
 
 PITCHES_BEFORE: Final = 2.6
 PITCHES_BEYOND: Final = 1.1
-"""How much of the phase's course is drawn on the side it comes from, and on the other."""
+"""How much of the phase's trajectory is drawn on the side it comes from, and on the other."""
 
 
 def plot_shift(path: Path, shift: ReportShift, sheet: GearboxSheet, gearbox: str) -> None:
@@ -85,7 +85,7 @@ def _sleeve(axis: Any, shift: ReportShift, name: str, sheet: GearboxSheet) -> No
 
 
 def _phase(axis: Any, shift: ReportShift, gear: str, sheet: GearboxSheet) -> None:
-    """The tooth's course past the gaps of the sleeve, to the gap it meets or misses."""
+    """The tooth's trajectory past the gaps of the sleeve, to the gap it meets or misses."""
     ratio = sheet.main_mesh(DRIVE_GEARS[shift.row.to].main).ratio
     half_gap = math.degrees(sheet.dog.backlash_rad) / 2.0
     pitch = math.degrees(sheet.dog.pitch_rad)

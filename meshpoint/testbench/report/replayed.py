@@ -9,9 +9,9 @@ from __future__ import annotations
 from html import escape
 from typing import Final
 
-from meshpoint.testbench.open_loop.course import Decision
 from meshpoint.testbench.open_loop.judged import Judged
 from meshpoint.testbench.open_loop.landing import Counterfactual
+from meshpoint.testbench.open_loop.trajectory import Decision
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.html import NUMBER_CLASS, STACKED, Cell, table, table_row
 from meshpoint.testbench.report.layout import (
@@ -35,7 +35,7 @@ HEAD: Final = [
     ("expects phase, % of pitch", NUMBER_CLASS), ("expects slip, rpm", NUMBER_CLASS),
     ("parts, ms", NUMBER_CLASS),
     ("would land, % of pitch, 95 %", NUMBER_CLASS), ("chance of a gap, %", NUMBER_CLASS),
-    ("why no landing is told", "text"),
+    ("why no landing is reported", "text"),
 ]  # fmt: skip
 
 
@@ -93,18 +93,18 @@ def replayed_events(shift: ReportShift) -> tuple[list[Figure], list[Figure]]:
         ("would release", last.release_ms if last and parted else None),
         ("would fire", judged.fired_ms if parted else None),
     ]
-    told = [(name, at_ms) for name, at_ms in events if at_ms is not None]
+    reported = [(name, at_ms) for name, at_ms in events if at_ms is not None]
     line = {"color": ORANGE, "width": 1.5, "dash": "dash"}
     shapes = [
         {"type": "line", "x0": round(at_ms, 2), "x1": round(at_ms, 2), "yref": "paper",
          "y0": 0, "y1": 1, "line": line}
-        for _, at_ms in told
+        for _, at_ms in reported
     ]  # fmt: skip
     annotations = [
         {"x": round(at_ms, 2), "y": 0, "yref": "paper", "yanchor": "bottom", "text": name,
          "showarrow": False, "font": {"size": 11, "color": ORANGE}, "yshift": 14 * i,
          "xanchor": "left", "bgcolor": "rgba(255,255,255,.8)"}
-        for i, (name, at_ms) in enumerate(told)
+        for i, (name, at_ms) in enumerate(reported)
     ]  # fmt: skip
     return shapes, annotations
 
@@ -123,9 +123,9 @@ def decisions_table(report: Report) -> str:
         f'<div class="scroll">{table(HEAD, rows, STACKED)}</div>'
         "<p>Each shift is judged from the state in which it was begun. The frames answer to the "
         "recorded commands: decisions made after a valve would have been driven otherwise are "
-        "those of a controller that sees another course than its own. Where its tooth would have "
-        "landed is worked out from there by the learned brake and drag; outcomes are the log's "
-        "alone.</p>"
+        "those of a controller that sees another trajectory than its own. Where its tooth would "
+        "have landed is worked out from there by the learned brake and drag; outcomes are the "
+        "log's alone.</p>"
     )
 
 
@@ -137,7 +137,7 @@ def _cells(shift: ReportShift) -> list[Cell]:
         none: list[Cell] = [("–", NUMBER_CLASS)] * 7
         why: Cell = ("the recorded controller could not be repeated up to here", "text")
         return [gears, ("–", NUMBER_CLASS), contact, ("–", ""), ("not judged", ""), *none, why]
-    told = judged.last if judged.fired_ms is not None else None
+    reported = judged.last if judged.fired_ms is not None else None
     return [
         gears,
         number_cell(judged.recorded.fired_ms if judged.recorded else None, 1),
@@ -145,9 +145,9 @@ def _cells(shift: ReportShift) -> list[Cell]:
         (judged.strategy, ""),
         (judged.status if judged.fault == "none" else f"{judged.status}: {judged.fault}", ""),
         number_cell(judged.last.release_ms if judged.last else None, 1),
-        number_cell(told.fired_ms if told else None, 1),
-        (_phase(told, row.pitch_deg), NUMBER_CLASS),
-        number_cell(told.predicted_slip_rpm if told else None, 1, signed=True),
+        number_cell(reported.fired_ms if reported else None, 1),
+        (_phase(reported, row.pitch_deg), NUMBER_CLASS),
+        number_cell(reported.predicted_slip_rpm if reported else None, 1, signed=True),
         number_cell(judged.parted.at_ms if judged.parted else None, 1),
         *_landing_cells(judged, row.pitch_deg),
     ]
@@ -172,15 +172,15 @@ def _landing(found: Counterfactual, pitch_deg: float) -> str:
     return f"{figure(to_pct * (found.phase_deg or 0.0), 1, True)} ± {half:.1f}"
 
 
-def replayed_course(shift: ReportShift) -> list[Figure]:
+def replayed_trajectory(shift: ReportShift) -> list[Figure]:
     """Slip and phase as they would have gone on, and the landing with its interval."""
     found = shift.replayed.counterfactual if shift.replayed else None
-    if found is None or not found.course:
+    if found is None or not found.trajectory:
         return []
     to_pct = 100.0 / shift.row.pitch_deg
-    x = [round(at_ms, 2) for at_ms, _, _ in found.course]
-    lines = [(SLIP, x, [round(slip, 2) for _, slip, _ in found.course])]
-    near = [(ms, to_pct * phase) for ms, _, phase in found.course if abs(to_pct * phase) < FAR]
+    x = [round(at_ms, 2) for at_ms, _, _ in found.trajectory]
+    lines = [(SLIP, x, [round(slip, 2) for _, slip, _ in found.trajectory])]
+    near = [(ms, to_pct * phase) for ms, _, phase in found.trajectory if abs(to_pct * phase) < FAR]
     lines.append((PHASE, [round(ms, 2) for ms, _ in near], [round(value, 2) for _, value in near]))
     traces: list[Figure] = [
         {"type": "scatter", "mode": "lines", "name": "replayed, worked out", "x": times,
@@ -203,9 +203,9 @@ def replayed_course(shift: ReportShift) -> list[Figure]:
 
 def replayed_account(judged: Judged, pitch_deg: float) -> list[list[str]]:
     """Rows for the table over a figure: what the other strategy expects; no truth beside it."""
-    told = judged.last if judged.fired_ms is not None else None
-    contact = "–" if told is None or told.expected_contact_ms is None else (
-        figure(told.expected_contact_ms, 1)
+    reported = judged.last if judged.fired_ms is not None else None
+    contact = "–" if reported is None or reported.expected_contact_ms is None else (
+        figure(reported.expected_contact_ms, 1)
     )  # fmt: skip
     name = f"{judged.strategy} would have"
     landing = judged.counterfactual
@@ -216,13 +216,13 @@ def replayed_account(judged: Judged, pitch_deg: float) -> list[list[str]]:
     return [
         *rows,
         [f"{name}: contact, ms after the request", contact, "–", "not in the log"],
-        [f"{name}: phase, % of pitch", _phase(told, pitch_deg), "–", "not in the log"],
+        [f"{name}: phase, % of pitch", _phase(reported, pitch_deg), "–", "not in the log"],
     ]
 
 
-def _phase(told: Decision | None, pitch_deg: float) -> str:
-    if told is None or told.predicted_phase_deg is None:
+def _phase(reported: Decision | None, pitch_deg: float) -> str:
+    if reported is None or reported.predicted_phase_deg is None:
         return "–"
     to_pct = 100.0 / pitch_deg
-    sd = to_pct * (told.predicted_phase_sd_deg or 0.0)
-    return f"{figure(to_pct * told.predicted_phase_deg, 1, True)} ± {sd:.1f}"
+    sd = to_pct * (reported.predicted_phase_sd_deg or 0.0)
+    return f"{figure(to_pct * reported.predicted_phase_deg, 1, True)} ± {sd:.1f}"

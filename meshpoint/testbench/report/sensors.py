@@ -56,7 +56,7 @@ SEEN: Final[list[Cell]] = [
 SUBTITLE: Final = (
     "A bus that another controller moved. Ours was fed its sensor frames and moved nothing: it "
     "estimated, it learned, and it was asked for what it would have done at each request. How a "
-    "shift ended is the other controller's doing, and nowhere told as ours."
+    "shift ended is the other controller's doing, and nowhere reported as ours."
 )
 OVER_TIME: Final = "<h2>Over the log's time</h2><div id='log'></div>"
 
@@ -172,5 +172,5 @@ def _decided_cells(row: dict[str, Any]) -> list[Cell]:
         (status, ""),
         (row["reference"], ""),
         *_numbers(row["fired_ms"], row["predicted_phase_deg"]),
-        (f"not told: {row['contact_why']}", "text"),
+        (f"not reported: {row['contact_why']}", "text"),
     ]

@@ -43,7 +43,7 @@ MEANING: Final[dict[FaultCode, str]] = {
     "wheel and the tooth count of the data sheet",
     FaultCode.PROPELLER_WHEEL_WRONG: "the propeller shaft's speed sensor contradicts the main "
     "shaft's: see its wheel and the tooth count of the data sheet",
-    FaultCode.WHEELS_DISAGREE: "two speed sensors contradict each other, and no third tells which "
+    FaultCode.WHEELS_DISAGREE: "two speed sensors contradict each other, and no third says which "
     "is wrong: the controller's own lines name both",
 }
 

@@ -149,12 +149,12 @@ def shown(strategy: str) -> str:
 
 
 def counted(shifts: int) -> str:
-    """So many shifts, in words."""
+    """This many shifts, in words."""
     return f"{shifts} shift" if shifts == 1 else f"{shifts} shifts"
 
 
 def broken(name: str, longest: int = 14) -> str:
-    """A strategy's name in lines of at most so many characters, where its words allow."""
+    """A strategy's name in lines of at most this many characters, where its words allow."""
     lines = [""]
     for part in shown(name).replace("_", "_\n").replace(":", ":\n").split("\n"):
         if lines[-1] and len(lines[-1] + part) > longest:

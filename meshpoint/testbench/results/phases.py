@@ -1,8 +1,8 @@
-"""Where the time of a shift goes, by the rig's truth: the phases between the moments it tells.
+"""Where the time of a shift goes, by the rig's truth: the phases between the moments it reports.
 
-A phase ends at its moment and begins at the last moment before it that there was, so the phases of
-a shift add up to its duration. A phase that a shift does not have is None: the brake in a
-downshift, the old gear's teeth in a shift of the splitter alone, the clutch in the preset thesis.
+A phase ends at its moment and begins at the last moment before it that there was, so the parts of a
+shift add up to its duration. A phase that a shift does not have is None: the brake in a downshift,
+the old gear's teeth in a shift of the splitter alone, the clutch in the preset thesis.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CONTACTS: Final = (_E.GAP_CONTACT, _E.TOOTH_CONTACT)
 
 @dataclass(frozen=True)
 class ShiftPhases:
-    """How long each phase of a shift took, ms; in their order."""
+    """How long each part of a shift took, ms; in their order."""
 
     ramp_ms: float | None = None
     """From the request until the clutch sets off: the wait for the torque's ramp, and the command's
@@ -64,26 +64,26 @@ TITLES: Final = {
 
 
 def phases_of(events: list[ReferenceEngagement], request_us: int, end_us: int) -> ShiftPhases:
-    """The phases of a shift from its request to its end, 32-bit times of the sensor clock (us);
-    events: what the rig has told since the gear before."""
-    told = [(event.event, span_us(event.event_time_us, request_us)) for event in events]
+    """The parts of a shift from its request to its end, 32-bit times of the sensor clock (us);
+    events: what the rig has reported since the gear before."""
+    reported = [(event.event, span_us(event.event_time_us, request_us)) for event in events]
     end = span_us(end_us, request_us)
-    told = [(event, at) for event, at in told if 0 <= at <= end]
-    contact = _first(told, *CONTACTS)
-    released = _first(told, _E.RELEASED)
-    before = [(event, at) for event, at in told if contact is None or at <= contact]
+    reported = [(event, at) for event, at in reported if 0 <= at <= end]
+    contact = _first(reported, *CONTACTS)
+    released = _first(reported, _E.RELEASED)
+    before = [(event, at) for event, at in reported if contact is None or at <= contact]
     raised = _last(before, _E.PLATES_PARTED, after=released)
     fills = _first(before, _E.BRAKE_FILLS, after=raised if raised is not None else released)
-    empties = _last(told, _E.BRAKE_EMPTIES, after=fills) if fills is not None else None
+    empties = _last(reported, _E.BRAKE_EMPTIES, after=fills) if fills is not None else None
     moments = (
-        _first(told, _E.CLUTCH_OPENS),
-        _first(told, _E.PLATES_PARTED),
+        _first(reported, _E.CLUTCH_OPENS),
+        _first(reported, _E.PLATES_PARTED),
         released,
         raised,
         fills,
         empties if contact is None or empties is None else min(empties, contact),
         contact,
-        _last(told, _E.LOCKED),
+        _last(reported, _E.LOCKED),
         end,
     )
     spent: list[float | None] = []
@@ -100,16 +100,16 @@ def closing_since_us(events: Iterable[ReferenceEngagement], end_us: int) -> int:
     return locked[-1] if locked else end_us
 
 
-Told = list[tuple[EngagementEvent, int]]
+Reported = list[tuple[EngagementEvent, int]]
 
 
-def _first(told: Told, *kinds: EngagementEvent, after: int | None = -1) -> int | None:
+def _first(reported: Reported, *kinds: EngagementEvent, after: int | None = -1) -> int | None:
     if after is None:
         return None
-    return next((at for event, at in told if event in kinds and at > after), None)
+    return next((at for event, at in reported if event in kinds and at > after), None)
 
 
-def _last(told: Told, *kinds: EngagementEvent, after: int | None = -1) -> int | None:
+def _last(reported: Reported, *kinds: EngagementEvent, after: int | None = -1) -> int | None:
     if after is None:
         return None
-    return next((at for event, at in reversed(told) if event in kinds and at > after), None)
+    return next((at for event, at in reversed(reported) if event in kinds and at > after), None)

@@ -44,6 +44,6 @@ class RoadSpeed:
             way_us = span_us(late[0], early[0])
             if way_us <= 0 or ahead_us > 2 * way_us:
                 return None
-            # Up to a sample beyond the newest, where the shift's end has just been told.
+            # Up to a sample beyond the newest, where the shift's end has just been reported.
             return early[1] + (late[1] - early[1]) * ahead_us / way_us
         return None

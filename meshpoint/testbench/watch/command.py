@@ -56,7 +56,7 @@ def add_parser(commands: Any) -> None:
         dest="for_s",
         type=float,
         metavar="S",
-        help="end after so many wall seconds (default: Ctrl-C, or the log's end)",
+        help="end after this many wall seconds (default: Ctrl-C, or the log's end)",
     )
     arguments.add_gearbox(parser)
     arguments.add_wire(parser)

@@ -27,7 +27,7 @@ M = TypeVar("M", bound=tuple[object, ...])
 LONGEST_STEP_US: Final = 10_000_000
 """A clock that moves by more from one frame to the next has been set, and has not run on."""
 RATE_FRAMES: Final = 20
-"""A message's rate is that of its last so many frames."""
+"""A message's rate is that of its last this many frames."""
 STAMPED: Final = (
     GearboxSensors, SleevesMain, SleevesAux, ValveStatus, ReferenceEncoder, ReferencePhase,
 )  # fmt: skip
@@ -134,9 +134,9 @@ class Heard:
         """Time by the frames themselves: of sensor side and controller, the one that has gone on
         further. A bus time that waits for a busy machine is not mistaken for silence. Where
         neither speaks it is the time of the log."""
-        told_us = max(clock.total_us for clock in self._clocks)
+        reported_us = max(clock.total_us for clock in self._clocks)
         heard_us = round((self.now_s - (self._begin_s or self.now_s)) * 1e6)
-        return self._idle_us + (told_us or heard_us)
+        return self._idle_us + (reported_us or heard_us)
 
     def idle(self, now_s: float) -> None:
         """Nothing has come up to now: ages grow, and what stays away is no longer valid."""

@@ -56,7 +56,7 @@ SHORT: Final = {
     "EdgesLayshaftRise": "EdgesLayRise",
     "EdgesLayshaftFall": "EdgesLayFall",
 }
-TOLD: Final = ("driver", "controller", "truth", "bus", "bench")
+REPORTED: Final = ("driver", "controller", "truth", "bus", "bench")
 """Whose lines are shown: valves have a row of their own."""
 STATE_WORDS: Final = {state: state.name.lower().replace("_", " ") for state in ControllerState}
 
@@ -73,7 +73,7 @@ class Panel:
         self._story = Story()
         self._lines: deque[Line] = deque(maxlen=LAST_LINES)
         self._shifts: deque[tuple[ShiftOutcome, str]] = deque(maxlen=LAST_SHIFTS)
-        """How the last shifts ended, and where the tooth met if a rig has told it."""
+        """How the last shifts ended, and where the tooth met if a rig has reported it."""
         self._contact = ""
 
     @property
@@ -83,8 +83,8 @@ class Panel:
 
     def receive(self, time_s: float, frame: Frame) -> None:
         """One frame, heard at `time_s`."""
-        told = self._story.receive(time_s, frame)
-        self._lines.extend(line for line in told if line.who in TOLD)
+        reported = self._story.receive(time_s, frame)
+        self._lines.extend(line for line in reported if line.who in REPORTED)
         self._remember(self._story.message)
 
     def lines(self) -> list[Text]:
@@ -101,7 +101,7 @@ class Panel:
             self._pressures(),
             *self._bus(),
             self._last_shifts(),
-            *self._told(),
+            *self._reported(),
         ]
         drawn += [Text()] * (HEIGHT - len(drawn))
         for line in drawn:
@@ -267,7 +267,7 @@ class Panel:
             text.append(f"{verdict.strip()}   ", style="green" if good else "bold red")
         return text
 
-    def _told(self) -> Iterable[Text]:
+    def _reported(self) -> Iterable[Text]:
         for line in self._lines:
             ms = "" if line.of_request_ms is None else f"{line.of_request_ms:+.0f} ms"
             yield Text(f"{ms:>8} {line.who:<10} {line.words}")

@@ -1,4 +1,4 @@
-"""A run told in plain words, one line an event, from the frames of the bus alone.
+"""A run reported in plain words, one line an event, from the frames of the bus alone.
 
 What only the rig knows (contact, locking, injected faults) is marked as the truth: on a real
 gearbox these lines are not there.
@@ -49,7 +49,7 @@ STATES: Final = {
     ControllerState.CLUTCH_PARTING: "waits for the clutch plates to part",
     ControllerState.DISENGAGING: "pulls the old gear's sleeve out",
     ControllerState.SYNCHRONISING: "out of gear: brings the layshaft to the new gear's speed",
-    ControllerState.COASTING: "brake let go: the speeds close by themselves",
+    ControllerState.COASTING: "brake released: the speeds close by themselves",
     ControllerState.ENGAGING: "the sleeve is on its way",
     ControllerState.RETRACTING: "takes the sleeve back, to try again",
     ControllerState.CLUTCH_CLOSING: "closes the clutch",
@@ -59,7 +59,7 @@ STATES: Final = {
     ControllerState.SPLITTER_CHANGING: "changes the splitter",
 }
 BY_CLUTCH: Final = (ControllerState.CLUTCH_OPENING, ControllerState.CLUTCH_CLOSING)
-"""Told by the clutch's command already."""
+"""Known from the clutch's command already."""
 TRUTHS: Final = {
     EngagementEvent.READY: "at the start of a run",
     EngagementEvent.GAP_CONTACT: "tooth meets gap",
@@ -145,7 +145,7 @@ class Story:
         }
 
     def receive(self, time_s: float, frame: Frame) -> list[Line]:
-        """One frame, heard at `time_s`; what is to be told after it."""
+        """One frame, heard at `time_s`; what is to be reported after it."""
         if self._begin_s is None:
             self._begin_s = time_s
         self._lines = []

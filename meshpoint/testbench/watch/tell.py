@@ -36,7 +36,7 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "tell",
-        description="Reads a log and tells what happened: who asked for which gear, what the "
+        description="Reads a log and says what happened: who asked for which gear, what the "
         "controller decided, what the valves did, how the shift ended; what was lost on the bus. "
         "Columns: seconds of the log, milliseconds since the gear was asked for by the sensor "
         "clock, who, what. Lines marked `truth` come from the virtual rig alone.",
@@ -64,27 +64,27 @@ def add_parser(commands: Any) -> None:
 
 
 def run(namespace: argparse.Namespace) -> int:
-    """Tells what the log holds, up to a defect in it."""
+    """Says what the log holds, up to a defect in it."""
     out = WordsConsole(soft_wrap=True)
     # What is piped stays one line an event, for grep.
     width = out.width if out.is_terminal else None
     wanted = set(namespace.only or STYLES)
-    told = 0
+    reported = 0
     try:
         for line in _lines(namespace):
             if line.who not in wanted:
                 continue
-            told += 1
+            reported += 1
             if namespace.json:
                 sys.stdout.write(json.dumps(line.to_json()) + "\n")
             else:
                 out.print(_text(line, width))
     except LogError as error:
-        if not told:
+        if not reported:
             raise
-        complain(f"meshpoint tell: {error}; what is told is all that stands before it")
+        complain(f"meshpoint tell: {error}; what is reported is all that stands before it")
         return Exit.BAD_INPUT
-    if not told:
+    if not reported:
         out.print("meshpoint tell: nothing to tell: no message of the DBC says an event")
     return Exit.DONE
 

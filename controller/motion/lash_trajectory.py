@@ -1,4 +1,4 @@
-"""How a main shaft moves ahead by a cloud of drivelines, as one course."""
+"""How a main shaft moves ahead by a cloud of particles, as one trajectory."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from meshpoint.controller.records import Integers, Vector
 
 STEP_S: Final = 2.5e-3
 STEPS: Final = 49
-"""The course is worked out at so many steps of this. Beyond the last the speed is held."""
+"""The trajectory is worked out at this many steps of this. Beyond the last the speed is held."""
 TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
 PLACES: Final[Vector] = np.arange(float(STEPS))
 _TIMES: Final[list[float]] = TIMES.tolist()
 MOST_TICKS: Final = 8
-"""What will be known is worked out for so many ticks,"""
+"""What will be known is worked out for this many ticks,"""
 COMPARED: Final = 60
-"""by so many of the drivelines."""
+"""by this many of the drivelines."""
 LEAST_SD_RAD: Final = math.radians(0.1)
 """An angle ahead is never known better: teeth and bearings."""
 MOST_SURE: Final = 0.9999
@@ -49,8 +49,8 @@ class Chance(NamedTuple):
         return np.asarray(0.5 * self.rad2_s3 * self.memory_s**3 * np.maximum(grown, 0.0))
 
 
-class LashCourse:
-    """The course of a main shaft from a time on: what `Swing` is for a linear one.
+class LashTrajectory:
+    """The trajectory of a main shaft from a time on: what `Swing` is for a linear one.
 
     At each time it gives the angle that most of the drivelines are within half a gap of, and the
     standard deviation of a normal law that lies within half a gap with the same probability."""
@@ -61,9 +61,9 @@ class LashCourse:
         model: LashModel,
         spread: tuple[Vector, Chance],
         half_gap_rad: float,
-        doubt: float = 1.0,
+        nis: float = 1.0,
     ) -> None:
-        """x: drivelines (ROWS, n), all alike in weight, at the course's time; they are moved.
+        """x: drivelines (ROWS, n), all alike in weight, at the trajectory's time; they are moved.
         spread: covariance of angle, speed and drag in each (3, 3), and the chance by which the
         shaft is accelerated. doubt: how many times as far off as they let expect
         the drivelines have been."""
@@ -79,14 +79,14 @@ class LashCourse:
         found = np.empty((2, STEPS, x.shape[1]))
         move_often(x, STEP_S, model, found)
         self._angle, self._speed = found
-        self._doubt = doubt
+        self._nis = nis
         self._widest_rad = float(np.ptp(self._angle))
         self._merged = np.full((3, STEPS), np.nan)
         """Angle, speed and standard deviation at each step, where that was asked for; and"""
         self._is_merged = [False] * STEPS
-        """whether it was: few are, of a course by which no sleeve is fired."""
+        """whether it was: few are, of a trajectory by which no sleeve is fired."""
         self.since_s = 0.0
-        """Now, on the course's own time."""
+        """Now, on the trajectory's own time."""
         self._shapes: list[Vector] = []
         """How `outlook` goes on from its first variance, once it was asked for."""
 
@@ -120,9 +120,9 @@ class LashCourse:
         shares = most / count * [math.erf(each) for each in self._half_gap_rad / width]
         self._merged[0, rows] = mean
         self._merged[1, rows] = np.sum(speed, axis=1, where=held) / most
-        self._merged[2, rows] = self._half_gap_rad / _width(shares) * self._doubt
+        self._merged[2, rows] = self._half_gap_rad / _width(shares) * self._nis
 
-    def after(self, wait_s: float) -> LashCourse:
+    def after(self, wait_s: float) -> LashTrajectory:
         """The same as seen from a later time."""
         later = copy.copy(self)
         later.since_s += wait_s
@@ -136,9 +136,9 @@ class LashCourse:
         self._interpolate(wait_s, 0.0, found)
         return float(found[0, 0]), float(found[1, 0])
 
-    def course(self, wait_s: float, step_s: float, found: Vector) -> None:
+    def trajectory(self, wait_s: float, step_s: float, found: Vector) -> None:
         """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
-        (2, n). Before now and after the last step of the course the speed is held."""
+        (2, n). Before now and after the last step of the trajectory the speed is held."""
         self._merge(0, STEPS)
         self._interpolate(wait_s, step_s, found)
 
@@ -157,7 +157,7 @@ class LashCourse:
 
     def outlook(self, horizon_s: float, tick_s: float, count: int) -> Vector:
         """Variances (rad2) of the angle predicted `horizon_s` ahead: now, and after each further
-        tick of edges, which will have told some of the drivelines from others."""
+        tick of edges, which will have distinguished some of the drivelines from others."""
         if not self._shapes:
             self._shapes.append(self._settled(self.since_s + horizon_s, tick_s))
         now, shape = self.theta_sd_ahead(horizon_s) ** 2, self._shapes[0]
@@ -165,20 +165,20 @@ class LashCourse:
         return found
 
     def _settled(self, horizon_s: float, tick_s: float) -> Vector:
-        """Variances of `outlook` over the first one. It is worked out once a course: a sleeve's way
-        differs by some milliseconds only.
+        """Variances of `outlook` over the first one. It is worked out once a trajectory: a sleeve's
+        way differs by some milliseconds only.
 
         Each of the drivelines may be the real one. Those that keep near it until then are still
         possible then; of these the share within half a gap of it will be the probability."""
         angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
         own = self._own_variance(TIMES)
-        told = self._p[0, 0] + LEAST_SD_RAD**2
+        reported = self._p[0, 0] + LEAST_SD_RAD**2
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
         # One row of NumPy's after the other: along the first axis it takes three times as long.
         widest = list(accumulate(_apart(angle[: then[-1] + 1]), np.maximum))
         most = np.array([widest[place] for place in then.tolist()])
-        weights = np.exp(-0.25 * most**2 / told)
+        weights = np.exp(-0.25 * most**2 / reported)
         weights /= weights.sum(axis=2, keepdims=True)
         near = _apart(angle[later]) < self._half_gap_rad
         shares = (weights * near).sum(axis=2).mean(axis=1)

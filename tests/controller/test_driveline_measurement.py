@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from test_unloading import KNOWN, ROAD_NM, STEP_S, STIFFNESS, VEHICLE, TwoBodies
 
-from meshpoint.controller.shift.driveline_look import (
-    ENGINE_LOOKS,
-    LEAST_LOOKS,
+from meshpoint.controller.shift.driveline_measurement import (
+    ENGINE_MEASUREMENTS,
+    LEAST_MEASUREMENTS,
     LOADED_SHARE,
-    DrivelineLook,
+    DrivelineMeasurement,
 )
 from meshpoint.controller.shift.swing_fit import Known
 from meshpoint.controller.shift.unloading import GearedBodies, Loaded, geared_bodies, unloading
@@ -28,12 +28,12 @@ TICK_US = round(1e6 * STEP_S)
 
 
 class Seen:
-    """A look at a driveline in gear 4, a step at a time."""
+    """A measurement at a driveline in gear 4, a step at a time."""
 
     def __init__(self, gear: int = 4) -> None:
         self.gear, self.now_us = gear, 3_000_000
-        self.look = DrivelineLook(SHEET)
-        self.look.rings.look = lambda *_: None  # type: ignore[method-assign]
+        self.measurement = DrivelineMeasurement(SHEET)
+        self.measurement.rings.measurement = lambda *_: None  # type: ignore[method-assign]
 
     def step(self, speed: float | None, share: float | None, state: State = State.IN_GEAR) -> None:
         self.now_us += TICK_US
@@ -44,7 +44,7 @@ class Seen:
             engine_torque_share=share,
             engine_torque_step=0.01,
         )
-        self.look.look(state, snapshot)
+        self.measurement.measure(state, snapshot)
 
 
 def bodies_of(gear: int, known: Known = KNOWN, drag_nm: float = 0.0) -> GearedBodies:
@@ -102,10 +102,12 @@ def test_the_engines_acceleration_is_that_of_its_last_50_ms(rise_rad_s2: float) 
     seen = Seen()
     for k in range(30):
         seen.step(100.0 + 10.0 * k, 0.3)
-        assert (seen.look.engine_rad_s2 == 0.0) is (k < ENGINE_LOOKS), "the first finds the gear"
-    for k in range(ENGINE_LOOKS):
+        assert (seen.measurement.engine_rad_s2 == 0.0) is (k < ENGINE_MEASUREMENTS), (
+            "the first finds the gear"
+        )
+    for k in range(ENGINE_MEASUREMENTS):
         seen.step(150.0 + rise_rad_s2 * STEP_S * k, 0.3)
-    assert seen.look.engine_rad_s2 == pytest.approx(rise_rad_s2)
+    assert seen.measurement.engine_rad_s2 == pytest.approx(rise_rad_s2)
 
 
 def test_another_gear_another_state_or_a_silent_engine_are_not_looked_at_together() -> None:
@@ -114,67 +116,67 @@ def test_another_gear_another_state_or_a_silent_engine_are_not_looked_at_togethe
         seen = Seen()
         for _ in range(40):
             seen.step(100.0, 0.3)
-        assert seen.look.mean_share(200_000.0) == pytest.approx(0.3)
+        assert seen.measurement.mean_share(200_000.0) == pytest.approx(0.3)
         seen.step(100.0, 0.3, State.CLUTCH_OPENING)
-        assert seen.look.mean_share(200_000.0) is not None, "the ramp belongs to the gear"
+        assert seen.measurement.mean_share(200_000.0) is not None, "the ramp belongs to the gear"
         if change == "gear":
             seen.gear = 5
             seen.step(100.0, 0.3)
         else:
             seen.step(100.0, 0.3, State.DISENGAGING)
-        assert seen.look.mean_share(200_000.0) is None
-        assert seen.look.engine_rad_s2 == 0.0
+        assert seen.measurement.mean_share(200_000.0) is None
+        assert seen.measurement.engine_rad_s2 == 0.0
     seen = Seen()
-    for _ in range(LEAST_LOOKS + 5):
+    for _ in range(LEAST_MEASUREMENTS + 5):
         seen.step(None, 0.3)
-    assert seen.look.mean_share(200_000.0) is None
+    assert seen.measurement.mean_share(200_000.0) is None
 
 
 def test_the_mean_torque_is_that_of_the_last_period_alone() -> None:
     seen = Seen()
     for k in range(60):
         seen.step(100.0, 0.1 if k < 40 else 0.5)
-    assert seen.look.mean_share(150_000.0) == pytest.approx(0.5)
-    assert seen.look.mean_share(1e6 * STEP_S * 39.0) == pytest.approx(0.3)
+    assert seen.measurement.mean_share(150_000.0) == pytest.approx(0.5)
+    assert seen.measurement.mean_share(1e6 * STEP_S * 39.0) == pytest.approx(0.3)
 
 
-def test_the_flank_is_told_where_the_torque_is_some_times_its_error() -> None:
-    """And it is as certain as what is left and what cannot be told allow."""
-    look = DrivelineLook(SHEET)
+def test_the_flank_is_reported_where_the_torque_is_some_times_its_error() -> None:
+    """And it is as certain as what is left and what cannot be determined allow."""
+    measurement = DrivelineMeasurement(SHEET)
     for pulled, sign in ((300.0, 1.0), (-300.0, -1.0)):
-        look.press(pulled, 100.0, 40.0)
-        assert look.pressed_nm == pytest.approx(sign * math.hypot(100.0, 40.0))
-        look.press(pulled, 160.0, 40.0)
-        assert look.pressed_nm == 0.0
+        measurement.press(pulled, 100.0, 40.0)
+        assert measurement.pressed_nm == pytest.approx(sign * math.hypot(100.0, 40.0))
+        measurement.press(pulled, 160.0, 40.0)
+        assert measurement.pressed_nm == 0.0
 
 
 def test_the_torques_error_is_of_its_steps_and_of_the_engines_inertia() -> None:
     """Even within half a step, and within the sheet's tolerance."""
-    look, engine = DrivelineLook(SHEET), SHEET.engine
-    look.torque_step = 0.01
+    measurement, engine = DrivelineMeasurement(SHEET), SHEET.engine
+    measurement.torque_step = 0.01
     read = 0.005 * REFERENCE_NM / math.sqrt(3.0)
-    assert look.torque_sd_nm(0.0) == pytest.approx(read)
+    assert measurement.torque_sd_nm(0.0) == pytest.approx(read)
     own = engine.inertia_tolerance * engine.inertia_kgm2 * 50.0 / math.sqrt(3.0)
-    assert look.torque_sd_nm(50.0) == pytest.approx(math.hypot(read, own))
+    assert measurement.torque_sd_nm(50.0) == pytest.approx(math.hypot(read, own))
 
 
 def test_a_vehicle_may_have_been_loaded_since_but_is_never_known_less_than_at_first() -> None:
     least, most = SHEET.driveline.vehicle_kgm2
-    look = DrivelineLook(SHEET)
+    measurement = DrivelineMeasurement(SHEET)
     even_sd = (1.0 / least - 1.0 / most) / math.sqrt(12.0)
-    assert look.known.vehicle_sd == pytest.approx(even_sd)
-    assert look.known.vehicle_inverse == pytest.approx(0.5 * (1.0 / least + 1.0 / most))
+    assert measurement.known.vehicle_sd == pytest.approx(even_sd)
+    assert measurement.known.vehicle_inverse == pytest.approx(0.5 * (1.0 / least + 1.0 / most))
     tolerance = SHEET.driveline.stiffness_tolerance / math.sqrt(3.0)
-    assert look.known.stiffness_sd == pytest.approx(tolerance)
-    look.loaded()
-    assert look.known.vehicle_sd == pytest.approx(even_sd)
-    assert look.known.stiffness_sd == pytest.approx(tolerance)
-    look.learned = Known(15_000.0, 0.04, 1.0 / 900.0, 0.1 * even_sd)
-    look.loaded()
-    assert look.known.vehicle_sd == pytest.approx(math.hypot(0.1, LOADED_SHARE) * even_sd)
-    assert look.known.stiffness_sd == pytest.approx(math.hypot(0.04, 0.05))
-    assert look.known.stiffness_nm_rad == 15_000.0
-    assert look.known.vehicle_inverse == 1.0 / 900.0
+    assert measurement.known.stiffness_sd == pytest.approx(tolerance)
+    measurement.loaded()
+    assert measurement.known.vehicle_sd == pytest.approx(even_sd)
+    assert measurement.known.stiffness_sd == pytest.approx(tolerance)
+    measurement.learned = Known(15_000.0, 0.04, 1.0 / 900.0, 0.1 * even_sd)
+    measurement.loaded()
+    assert measurement.known.vehicle_sd == pytest.approx(math.hypot(0.1, LOADED_SHARE) * even_sd)
+    assert measurement.known.stiffness_sd == pytest.approx(math.hypot(0.04, 0.05))
+    assert measurement.known.stiffness_nm_rad == 15_000.0
+    assert measurement.known.vehicle_inverse == 1.0 / 900.0
 
 
 def ridden(gear: int, stiffness: float, vehicle: float) -> Seen:
@@ -195,15 +197,15 @@ def test_what_was_seen_of_a_swing_tells_shafts_and_vehicle(
     """And what the shafts carried before it, with the torque of then."""
     bodies = bodies_of(1)
     seen = ridden(1, stiffness, vehicle)
-    fitted = seen.look.fit(bodies, 0.0)
+    fitted = seen.measurement.fit(bodies, 0.0)
     assert fitted is not None
     found, torque_nm = fitted
     assert torque_nm == pytest.approx(ROAD_NM / bodies.ratio, rel=1e-6)
     assert found.acceleration_rad_s2 == pytest.approx(0.0, abs=0.02)
     assert found.known.stiffness_nm_rad == pytest.approx(stiffness, rel=0.1)
     assert 1.0 / found.known.vehicle_inverse == pytest.approx(vehicle, rel=0.1)
-    assert found.known.vehicle_sd < 0.5 * seen.look.known.vehicle_sd
-    assert seen.look.fit(bodies, seen.now_us - (LEAST_LOOKS - 2) * TICK_US) is None
+    assert found.known.vehicle_sd < 0.5 * seen.measurement.known.vehicle_sd
+    assert seen.measurement.fit(bodies, seen.now_us - (LEAST_MEASUREMENTS - 2) * TICK_US) is None
 
 
 def test_no_swing_makes_shafts_or_vehicle_other_than_the_sheet_allows() -> None:
@@ -211,7 +213,7 @@ def test_no_swing_makes_shafts_or_vehicle_other_than_the_sheet_allows() -> None:
     least, most = driveline.vehicle_kgm2
     share = driveline.stiffness_tolerance
     for stiffness, vehicle in ((3e4, 900.0), (8e3, 900.0), (16e3, 0.3 * least), (16e3, 4.0 * most)):
-        fitted = ridden(1, stiffness, vehicle).look.fit(bodies_of(1), 0.0)
+        fitted = ridden(1, stiffness, vehicle).measurement.fit(bodies_of(1), 0.0)
         assert fitted is not None
         known = fitted[0].known
         ratio = known.stiffness_nm_rad / driveline.stiffness_nm_rad
@@ -219,29 +221,29 @@ def test_no_swing_makes_shafts_or_vehicle_other_than_the_sheet_allows() -> None:
         assert 1.0 / most * (1.0 - 1e-9) <= known.vehicle_inverse <= 1.0 / least * (1.0 + 1e-9)
 
 
-def test_a_torque_follows_what_is_asked_for_within_the_step_in_which_it_is_told() -> None:
-    """It is told in whole per cent; between two of them it goes as the engine's lag has it."""
+def test_a_torque_follows_what_is_asked_for_within_the_step_in_which_it_is_reported() -> None:
+    """It is reported in whole per cent; between two of them it goes as the engine's lag has it."""
 
-    def told() -> Seen:
+    def reported() -> Seen:
         seen = Seen()
-        for _ in range(LEAST_LOOKS):
+        for _ in range(LEAST_MEASUREMENTS):
             seen.step(100.0, 0.30, State.CLUTCH_OPENING)
         return seen
 
-    seen = told()
-    seen.look.ask(0.20)
+    seen = reported()
+    seen.measurement.ask(0.20)
     shares = []
     for _ in range(3):
         seen.step(100.0, 0.30, State.CLUTCH_OPENING)
-        shares.append(seen.look.mean_share(0.0))
+        shares.append(seen.measurement.mean_share(0.0))
     assert shares == [pytest.approx(0.295)] * 3
     seen.step(100.0, 0.28, State.CLUTCH_OPENING)
     follows = 1.0 - math.exp(-STEP_S / SHEET.engine.lag_s)
-    assert seen.look.mean_share(0.0) == pytest.approx(0.295 + (0.20 - 0.295) * follows)
-    fine = told()
-    fine.look.ask(0.298)
+    assert seen.measurement.mean_share(0.0) == pytest.approx(0.295 + (0.20 - 0.295) * follows)
+    fine = reported()
+    fine.measurement.ask(0.298)
     fine.step(100.0, 0.30, State.CLUTCH_OPENING)
-    assert fine.look.mean_share(0.0) == pytest.approx(0.30 - 0.002 * follows)
+    assert fine.measurement.mean_share(0.0) == pytest.approx(0.30 - 0.002 * follows)
 
 
 def test_what_nothing_was_seen_of_is_known_as_well_as_before() -> None:
@@ -250,9 +252,9 @@ def test_what_nothing_was_seen_of_is_known_as_well_as_before() -> None:
     seen = Seen(1)
     for _ in range(150):
         seen.step(11.0 * bodies.ratio, ROAD_NM / bodies.ratio / REFERENCE_NM)
-    fitted = seen.look.fit(bodies, 0.0)
+    fitted = seen.measurement.fit(bodies, 0.0)
     assert fitted is not None
-    known, before = fitted[0].known, seen.look.known
+    known, before = fitted[0].known, seen.measurement.known
     assert known.stiffness_nm_rad == pytest.approx(before.stiffness_nm_rad, rel=0.05)
     assert known.stiffness_sd == pytest.approx(before.stiffness_sd, rel=0.15)
     assert fitted[0].acceleration_rad_s2 == pytest.approx(0.0, abs=1e-3)

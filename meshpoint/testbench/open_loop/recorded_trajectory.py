@@ -1,4 +1,5 @@
-"""A recorded shift's course as the repeated controller estimated it: layshaft, main shaft, brake.
+"""A recorded shift's trajectory as the repeated controller estimated it: layshaft, main shaft,
+brake.
 
 Valid from the step in which it was begun to the recorded sleeve's contact; from there on it is gone
 on with by the learned model.
@@ -43,7 +44,7 @@ class Seen(NamedTuple):
     supply_pa: float
 
 
-class RecordedCourse:
+class RecordedTrajectory:
     """The steps of one shift, and from them the shafts at any time."""
 
     def __init__(self) -> None:
@@ -131,7 +132,7 @@ class RecordedCourse:
 
     @property
     def eased_rad_s2(self) -> float:
-        """How much less drag there is in the end than when the brake was let go, if all that the
+        """How much less drag there is in the end than when the brake was released, if all that the
         estimator has beyond the data sheet's friction falls with the speed."""
         newest = self.newest
         if self.release_us is None:
@@ -141,8 +142,8 @@ class RecordedCourse:
 
     def unseen_release(self, release_us: float | None, time_us: float) -> tuple[float, float]:
         """Angle (s2) and speed (s) that an acceleration of 1 rad/s2 since a release of the brake
-        adds to this course, if the recorded release has brought the same: up to the recorded
-        contact that is in the course already."""
+        adds to this trajectory, if the recorded release has brought the same: up to the recorded
+        contact that is in the trajectory already."""
         end_us = min(time_us, self.newest_us)
         own_us = math.inf if self.release_us is None else self.release_us
         kept_s = max(0.0, end_us - own_us) * US
@@ -185,7 +186,7 @@ def last_release_us(brake: BrakeInput, until_us: float = math.inf) -> float | No
 
 
 class BrakeDifference:
-    """The recorded course by one brake, and with other brake switches than the recorded ones.
+    """The recorded trajectory by one brake, and with other brake switches than the recorded ones.
 
     Drag and torques that both have cancel; what remains is the brake's gain, law, touch and delays.
     known: the brake by which the recorded pressure was estimated; as_built: the one that is taken
@@ -194,23 +195,25 @@ class BrakeDifference:
 
     def __init__(
         self,
-        course: RecordedCourse,
+        trajectory: RecordedTrajectory,
         start_us: float,
         gain: float,
         known: BrakeModel,
         as_built: BrakeModel,
     ) -> None:
-        self._course = course
+        self._trajectory = trajectory
         self._later_touch_pa = as_built.touch_pa.value - known.touch_pa.value
-        self._model = course.model.with_law(as_built.law())
+        self._model = trajectory.model.with_law(as_built.law())
         self._off_us, self._on_us = as_built.off_delay_us, as_built.on_delay_us
-        self._recorded = self._delayed(course.brake)
-        full_pa = max(state.pressure_pa for state in (course.before(start_us), course.newest))
+        self._recorded = self._delayed(trajectory.brake)
+        full_pa = max(
+            state.pressure_pa for state in (trajectory.before(start_us), trajectory.newest)
+        )
         if full_pa > LEAST_FULL_PA:
             # The torque at full pressure has been measured: a later touch means a higher gain.
             gain *= full_pa / (full_pa - self._later_touch_pa)
         self._gain = gain
-        self._start = self._touching(course.before(start_us))
+        self._start = self._touching(trajectory.before(start_us))
 
     def _delayed(self, switches: BrakeInput) -> Vector:
         own = switches.seen_through(0)
@@ -225,8 +228,8 @@ class BrakeDifference:
     def at(self, time_us: float, other: BrakeInput) -> LayshaftState:
         """The layshaft at a time with these switches."""
         if time_us <= self._start.time_us:
-            return self._course.layshaft(time_us)
-        base = self._touching(self._course.before(time_us))
+            return self._trajectory.layshaft(time_us)
+        base = self._touching(self._trajectory.before(time_us))
         base = predict(base, time_us, self._recorded, self._model)
         was = predict(self._start, time_us, self._recorded, self._model)
         would = predict(self._start, time_us, self._delayed(other), self._model)

@@ -1,4 +1,4 @@
-"""A cloud of drivelines drawn anew around those that explain the edges.
+"""A cloud of particles resampled around those that explain the edges.
 
 Each is drawn as often as its weight says, and what does not move by itself is spread a little, so
 that copies of one driveline part. The spread is Liu and West's (2001): shrunk towards the mean, it
@@ -43,13 +43,13 @@ FLANKS: Final = 3
 
 
 def drawn(weights: Vector, count: int) -> Integers:
-    """So many indices, each as often as its weight says, by one row of even steps."""
+    """This many indices, each as often as its weight says, by one row of even steps."""
     places = (np.arange(count) + 0.5) / count
     return np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)
 
 
-def drawn_anew(x: Vector, weights: Vector, numbers: Vector) -> Vector:
-    """Drivelines (ROWS, n) drawn anew by their weights (n,) and spread by independent numbers of a
+def resampled(x: Vector, weights: Vector, numbers: Vector) -> Vector:
+    """Drivelines (ROWS, n) resampled by their weights (n,) and spread by independent numbers of a
     standard normal law (9, n)."""
     chosen = drawn(weights, x.shape[1])
     # By rows in memory as before: of columns numba would make every kernel once more.

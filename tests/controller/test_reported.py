@@ -1,4 +1,4 @@
-"""What is told on the bus is what is known: outcome, prediction and estimates, each field for
+"""What is reported on the bus is what is known: outcome, prediction and estimates, each field for
 itself; and small laws of what is commanded and read."""
 
 from __future__ import annotations
@@ -53,23 +53,23 @@ PITCH = SHEET.dog.pitch_rad
 
 def test_an_outcome_says_of_the_shift_what_the_shift_was() -> None:
     shift = aimed(*UP[:2]).shift(UP[2])
-    told, plan = outcome(shift, PITCH), shift.plan
+    reported, plan = outcome(shift, PITCH), shift.plan
     assert plan is not None
-    assert (told.from_gear, told.to_gear, told.attempts) == (UP[0], UP[2], 1)
-    assert (told.result, told.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
-    assert (told.strategy, told.reference) == (Strategy.TARGET_PHASE, PhaseReference.KNOWN)
-    assert told.reference_source is shift.reference_source
-    assert (told.request_time_us, told.end_time_us) == (shift.request_us, shift.end_us)
-    assert told.fire_time_us == plan.fire_us
-    assert told.predicted_contact_time_us == plan.contact_us
-    assert told.measured_contact_time_us == shift.measured_contact_us
-    assert told.request_time_us < told.fire_time_us < told.measured_contact_time_us
-    assert told.measured_contact_time_us < told.end_time_us
+    assert (reported.from_gear, reported.to_gear, reported.attempts) == (UP[0], UP[2], 1)
+    assert (reported.result, reported.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
+    assert (reported.strategy, reported.reference) == (Strategy.TARGET_PHASE, PhaseReference.KNOWN)
+    assert reported.reference_source is shift.reference_source
+    assert (reported.request_time_us, reported.end_time_us) == (shift.request_us, shift.end_us)
+    assert reported.fire_time_us == plan.fire_us
+    assert reported.predicted_contact_time_us == plan.contact_us
+    assert reported.measured_contact_time_us == shift.measured_contact_us
+    assert reported.request_time_us < reported.fire_time_us < reported.measured_contact_time_us
+    assert reported.measured_contact_time_us < reported.end_time_us
     for said, known in (
-        (told.predicted_phase_rad, plan.phase_rad),
-        (told.estimated_phase_rad, shift.estimated_phase_rad),
-        (told.predicted_phase_sd_rad, plan.phase_sd_rad),
-        (told.predicted_slip_rad_s, plan.slip_rad_s),
+        (reported.predicted_phase_rad, plan.phase_rad),
+        (reported.estimated_phase_rad, shift.estimated_phase_rad),
+        (reported.predicted_phase_sd_rad, plan.phase_sd_rad),
+        (reported.predicted_slip_rad_s, plan.slip_rad_s),
     ):
         assert said == pytest.approx(known) and said != 0.0
 
@@ -77,13 +77,17 @@ def test_an_outcome_says_of_the_shift_what_the_shift_was() -> None:
 def test_a_shift_that_was_refused_has_neither_firing_nor_contact() -> None:
     shift = ShiftRecord(5, 9, DRIVE_GEARS[9], 1_000, Strategy.SPEED_WINDOW)
     shift.result, shift.fault = ShiftResult.REFUSED, FaultCode.LOW_SUPPLY
-    told = outcome(shift, PITCH)
-    assert (told.result, told.fault) == (ShiftResult.REFUSED, FaultCode.LOW_SUPPLY)
-    assert (told.reference, told.reference_source) == (PhaseReference.UNKNOWN, ReferenceSource.NONE)
+    reported = outcome(shift, PITCH)
+    assert (reported.result, reported.fault) == (ShiftResult.REFUSED, FaultCode.LOW_SUPPLY)
+    assert (reported.reference, reported.reference_source) == (
+        PhaseReference.UNKNOWN,
+        ReferenceSource.NONE,
+    )
     nothing = (
-        told.fire_time_us, told.predicted_contact_time_us, told.measured_contact_time_us,
-        told.end_time_us, told.predicted_phase_rad, told.predicted_phase_sd_rad,
-        told.predicted_slip_rad_s, told.estimated_phase_rad, told.attempts,
+        reported.fire_time_us, reported.predicted_contact_time_us,
+        reported.measured_contact_time_us, reported.end_time_us, reported.predicted_phase_rad,
+        reported.predicted_phase_sd_rad, reported.predicted_slip_rad_s,
+        reported.estimated_phase_rad, reported.attempts,
     )  # fmt: skip
     assert not any(nothing)
 
@@ -97,42 +101,49 @@ def test_a_prediction_is_that_of_the_steps_decision() -> None:
         plan, shift = box.sequence.decision, box.sequence.shift
         if plan is None or shift is None:
             continue
-        told, seen = prediction(box.now_us, plan, shift), seen + 1
-        assert told.decision_time_us == box.now_us
-        assert told.decision is plan.decision
-        assert told.release_time_us == (shift.release_us or 0)
-        assert (told.fire_time_us, told.contact_time_us) == (plan.fire_us, plan.contact_us)
-        assert told.phase_rad == pytest.approx(plan.phase_rad)
-        assert told.phase_sd_rad == pytest.approx(min(plan.phase_sd_rad, ANGLE_SD_TOP))
-        assert told.slip_rad_s == pytest.approx(plan.slip_rad_s)
+        reported, seen = prediction(box.now_us, plan, shift), seen + 1
+        assert reported.decision_time_us == box.now_us
+        assert reported.decision is plan.decision
+        assert reported.release_time_us == (shift.release_us or 0)
+        assert (reported.fire_time_us, reported.contact_time_us) == (plan.fire_us, plan.contact_us)
+        assert reported.phase_rad == pytest.approx(plan.phase_rad)
+        assert reported.phase_sd_rad == pytest.approx(min(plan.phase_sd_rad, ANGLE_SD_TOP))
+        assert reported.slip_rad_s == pytest.approx(plan.slip_rad_s)
     assert seen > 10
 
 
-def test_estimates_that_are_not_there_are_told_as_not_valid_and_as_uncertain_as_can_be() -> None:
+def test_estimates_that_are_not_there_are_reported_as_not_valid_and_as_uncertain_as_can_be() -> (
+    None
+):
     layshaft = LayshaftState(9.0, 3.0, 140.0, 2e5, 1e-3, 0.2, 3e3)
     main = ShaftState(9.0, 4.0, 90.0, 2e-3, 0.3)
     tracker: Any = SimpleNamespace(free=True)
-    told = estimates(77, tracker, layshaft, main, 1e5, 5.0, 0.02, 0.003)
-    assert told.estimate_time_us == 77
-    assert (told.layshaft_valid, told.main_valid, told.phase_known, told.model_valid) == (True,) * 4
-    assert told[1:] is not None
-    assert told.layshaft_angle_rad == 3.0
-    assert told.layshaft_speed_rad_s == 140.0
-    assert (told.layshaft_angle_sd_rad, told.layshaft_speed_sd_rad_s) == (1e-3, 0.2)
-    assert (told.main_angle_rad, told.main_speed_rad_s) == (4.0, 90.0)
-    assert (told.main_angle_sd_rad, told.main_speed_sd_rad_s) == (2e-3, 0.3)
-    assert (told.brake_pressure_pa, told.brake_pressure_sd_pa) == (3e5, 3e3)
-    assert (told.slip_rad_s, told.phase_rad, told.phase_sd_rad) == (5.0, 0.02, 0.003)
+    reported = estimates(77, tracker, layshaft, main, 1e5, 5.0, 0.02, 0.003)
+    assert reported.estimate_time_us == 77
+    assert (
+        reported.layshaft_valid,
+        reported.main_valid,
+        reported.phase_known,
+        reported.model_valid,
+    ) == (True,) * 4
+    assert reported[1:] is not None
+    assert reported.layshaft_angle_rad == 3.0
+    assert reported.layshaft_speed_rad_s == 140.0
+    assert (reported.layshaft_angle_sd_rad, reported.layshaft_speed_sd_rad_s) == (1e-3, 0.2)
+    assert (reported.main_angle_rad, reported.main_speed_rad_s) == (4.0, 90.0)
+    assert (reported.main_angle_sd_rad, reported.main_speed_sd_rad_s) == (2e-3, 0.3)
+    assert (reported.brake_pressure_pa, reported.brake_pressure_sd_pa) == (3e5, 3e3)
+    assert (reported.slip_rad_s, reported.phase_rad, reported.phase_sd_rad) == (5.0, 0.02, 0.003)
     tracker.free = False
     none = estimates(77, tracker, None, None, 1e5, 0.0, None, 0.0)
     assert not any((none.layshaft_valid, none.main_valid, none.phase_known, none.model_valid))
     assert none.phase_rad == 0.0
     for known, unknown in (
-        (told.layshaft_angle_sd_rad, none.layshaft_angle_sd_rad),
-        (told.layshaft_speed_sd_rad_s, none.layshaft_speed_sd_rad_s),
-        (told.main_angle_sd_rad, none.main_angle_sd_rad),
-        (told.main_speed_sd_rad_s, none.main_speed_sd_rad_s),
-        (told.brake_pressure_sd_pa, none.brake_pressure_sd_pa),
+        (reported.layshaft_angle_sd_rad, none.layshaft_angle_sd_rad),
+        (reported.layshaft_speed_sd_rad_s, none.layshaft_speed_sd_rad_s),
+        (reported.main_angle_sd_rad, none.main_angle_sd_rad),
+        (reported.main_speed_sd_rad_s, none.main_speed_sd_rad_s),
+        (reported.brake_pressure_sd_pa, none.brake_pressure_sd_pa),
     ):
         assert unknown > 10.0 * known
     assert (none.layshaft_angle_rad, none.layshaft_speed_rad_s) == (0.0, 0.0)
@@ -141,12 +152,12 @@ def test_estimates_that_are_not_there_are_told_as_not_valid_and_as_uncertain_as_
 
 def test_what_any_truck_tool_reads_of_gears_and_speeds() -> None:
     for number in (-1, 0, 1, 12):
-        told = etc2(SHEET, number, 9)
-        assert told.selected_gear == 9
-        assert told.current_gear == (None if number < 0 else number)
+        reported = etc2(SHEET, number, 9)
+        assert reported.selected_gear == 9
+        assert reported.current_gear == (None if number < 0 else number)
         ratio = SHEET.overall_ratio(DRIVE_GEARS[number]) if number > 0 else None
-        assert told.actual_ratio == ratio
-        assert (told.requested_range, told.current_range) == (None, None)
+        assert reported.actual_ratio == ratio
+        assert (reported.requested_range, reported.current_range) == (None, None)
     for engaged, shifting in ((True, False), (False, True)):
         told1 = etc1(engaged, shifting, 100.0, 150.0)
         assert told1.driveline_engaged is (J1939Measured.YES if engaged else J1939Measured.NO)
@@ -155,9 +166,9 @@ def test_what_any_truck_tool_reads_of_gears_and_speeds() -> None:
         assert (told1.output_shaft_speed_rad_s, told1.input_shaft_speed_rad_s) == (100.0, 150.0)
         assert (told1.clutch_slip_fraction, told1.controlling_address) == (None, None)
     top = 8031.0 * math.pi / 30.0
-    for speed, is_told in ((0.0, True), (-0.1, False), (top - 0.1, True), (top, False)):
+    for speed, is_reported in ((0.0, True), (-0.1, False), (top - 0.1, True), (top, False)):
         told1 = etc1(True, False, speed, None)
-        assert told1.output_shaft_speed_rad_s == (speed if is_told else None)
+        assert told1.output_shaft_speed_rad_s == (speed if is_reported else None)
         assert told1.input_shaft_speed_rad_s is None
 
 
@@ -227,9 +238,9 @@ def test_speeds_are_those_of_their_shafts_and_slip_is_of_the_gear_against_its_sl
 TURNS = 512.0 * math.pi
 
 
-def test_an_angle_is_told_modulo_256_turns_and_just_below_them_at_most() -> None:
-    told = [angle(given) for given in (3.0, TURNS + 3.0, -3.0)]
-    assert told == pytest.approx([3.0, 3.0, TURNS - 3.0])
+def test_an_angle_is_reported_modulo_256_turns_and_just_below_them_at_most() -> None:
+    reported = [angle(given) for given in (3.0, TURNS + 3.0, -3.0)]
+    assert reported == pytest.approx([3.0, 3.0, TURNS - 3.0])
     assert angle(-1e-18) == pytest.approx(TURNS - TURNS / 2.0**33, rel=1e-15)
     assert angle(-1e-18) < TURNS
 
@@ -250,21 +261,23 @@ FASTEST, WIDEST = 200_000.0 * RPM, 32.0 * DEG
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_is_out_of_all_bounds_is_told_at_the_signals_ends(sign: float) -> None:
+def test_what_is_out_of_all_bounds_is_reported_at_the_signals_ends(sign: float) -> None:
     """300 rpm of deviation, 13 bar, phases of 20,000 deg; times as their low 32 bits."""
     tracker: Any = SimpleNamespace(free=False)
     layshaft = LayshaftState(0.0, 9.0, sign * 9e9, 9e9, 9e9, 9e9, 9e9)
     main = ShaftState(0.0, 9.0, sign * 9e9, 9e9, 9e9)
-    told = estimates((1 << 32) + 5, tracker, layshaft, main, 1e5, sign * 9e9, None, 9e9)
-    assert told.estimate_time_us == 5
+    reported = estimates((1 << 32) + 5, tracker, layshaft, main, 1e5, sign * 9e9, None, 9e9)
+    assert reported.estimate_time_us == 5
     near = pytest.approx
-    assert (told.layshaft_angle_sd_rad, told.main_angle_sd_rad, told.phase_sd_rad) == near(
-        (WIDEST,) * 3
-    )
-    assert told.layshaft_speed_sd_rad_s == told.main_speed_sd_rad_s == near(300.0 * RPM)
-    speeds = (told.layshaft_speed_rad_s, told.main_speed_rad_s, told.slip_rad_s)
+    assert (
+        reported.layshaft_angle_sd_rad,
+        reported.main_angle_sd_rad,
+        reported.phase_sd_rad,
+    ) == near((WIDEST,) * 3)
+    assert reported.layshaft_speed_sd_rad_s == reported.main_speed_sd_rad_s == near(300.0 * RPM)
+    speeds = (reported.layshaft_speed_rad_s, reported.main_speed_rad_s, reported.slip_rad_s)
     assert speeds == near((sign * FASTEST,) * 3)
-    assert told.brake_pressure_pa == told.brake_pressure_sd_pa == 13e5
+    assert reported.brake_pressure_pa == reported.brake_pressure_sd_pa == 13e5
     late = (1 << 32) + 7
     plan = Plan(ShiftDecision.FIRE, late, late + 1, sign * 9e9, 9e9, sign * 9e9)
     shift = ShiftRecord(5, 9, DRIVE_GEARS[9], (1 << 32) + 1_000, Strategy.TARGET_PHASE)
@@ -279,11 +292,13 @@ def test_what_is_out_of_all_bounds_is_told_at_the_signals_ends(sign: float) -> N
     assert (end.request_time_us, end.fire_time_us, end.predicted_contact_time_us) == (1_000, 7, 8)
 
 
-def test_an_outcome_s_phases_are_told_within_half_a_pitch() -> None:
+def test_an_outcome_s_phases_are_reported_within_half_a_pitch() -> None:
     shift = ShiftRecord(5, 9, DRIVE_GEARS[9], 0, Strategy.TARGET_PHASE)
     shift.plan, shift.estimated_phase_rad = Plan(ShiftDecision.FIRE, 1, 2, 0.25, 1e-3, -3.0), -0.35
-    told = outcome(shift, 0.2)
-    assert (told.predicted_phase_rad, told.estimated_phase_rad) == pytest.approx((0.05, 0.05))
+    reported = outcome(shift, 0.2)
+    assert (reported.predicted_phase_rad, reported.estimated_phase_rad) == pytest.approx(
+        (0.05, 0.05)
+    )
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from meshpoint.units import DEG, RPM
 NAMES: Final = {valve: valve.name.lower() for valve in ValveName}
 FIRING: Final = (ShiftDecision.FIRE, ShiftDecision.COMMITTED)
 LAST_STEP_MS: Final = 10.0
-"""A course's last command is drawn for as long as a tick."""
+"""A trajectory's last command is drawn for as long as a tick."""
 SAID: Final = {
     CODECS[kind.__name__].spec.can_id: CODECS[kind.__name__]
     for kind in (ValveCommand, ClutchCommand, TSC1, ShiftPrediction, ShiftOutcome)
@@ -112,7 +112,7 @@ def _ms(stamp_us: int, request_us: int) -> float:
     return span_us(stamp_us, request_us) / 1000
 
 
-class Course:
+class Trajectory:
     """The steps of one shift as one controller takes them."""
 
     def __init__(self) -> None:
@@ -183,15 +183,15 @@ def _asked(said: Said) -> TSC1 | None:
     return said.engine._replace(message_counter=None, message_checksum=None)
 
 
-def course_parted_ms(
-    recorded: Course, replayed: Course, step_us: int, request_us: int
+def trajectory_parted_ms(
+    recorded: Trajectory, replayed: Trajectory, step_us: int, request_us: int
 ) -> float | None:
     """The first switch of a valve that only one of them makes, or the first step at which clutch or
     engine are commanded differently."""
     edges = [
-        {(at_ms, name, k) for name, spans in course.driven(step_us, request_us).items()
+        {(at_ms, name, k) for name, spans in trajectory.driven(step_us, request_us).items()
          for span in spans for k, at_ms in enumerate(span)}
-        for course in (recorded, replayed)
+        for trajectory in (recorded, replayed)
     ]  # fmt: skip
     parted = [at_ms for at_ms, _, _ in edges[0] ^ edges[1]]
     for theirs, mine in zip(recorded.steps, replayed.steps, strict=True):

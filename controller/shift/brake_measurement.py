@@ -1,4 +1,4 @@
-"""Whether the brake does as it is told."""
+"""Whether the brake does as it is commanded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ HELD_SHARE: Final = 0.3
 
 
 SETTLED: Final = 5.0
-"""So many time constants after a release nothing is left, and the sensor has seen it fall."""
+"""This many time constants after a release nothing is left, and the sensor has seen it fall."""
 
 
 def brake_holds(sheet: GearboxSheet, predictor: GearPredictor, measured_pa: float) -> bool:

@@ -10,16 +10,16 @@ import numpy as np
 
 from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.swing_fit import EngineCourse, Known, SwingFit, fit_swing
-from meshpoint.controller.shift.unloading import TOLD_SD, GearedBodies
+from meshpoint.controller.shift.swing_fit import EngineTrajectory, Known, SwingFit, fit_swing
+from meshpoint.controller.shift.unloading import REPORTED_SD, GearedBodies
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import US
 
-ENGINE_LOOKS: Final = 6
+ENGINE_MEASUREMENTS: Final = 6
 """The engine's acceleration is that of its last 50 ms."""
-MOST_LOOKS: Final = 400
-LEAST_LOOKS: Final = 25
+MOST_MEASUREMENTS: Final = 400
+LEAST_MEASUREMENTS: Final = 25
 """Fewer say nothing of a swing."""
 LOADED_SHARE: Final = 0.5
 """Between two shifts a trailer may have been coupled or a load taken up: 1 / J_2 changes by this
@@ -28,7 +28,7 @@ TYRES_SHARE: Final = 0.05
 """So much the stiffness changes with them from shift to shift."""
 
 
-class DrivelineLook:
+class DrivelineMeasurement:
     """Speed and torque of the engine in gear; whether and how far shafts twist; the vehicle."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
@@ -48,13 +48,14 @@ class DrivelineLook:
         """The same after the ramp under way."""
         self.pressed_nm = 0.0
         """About what the ramp under way leaves in the shafts, at the propeller shaft: above 0 at
-        the flank of drive, below at that of coast; 0 where it could not be told from none."""
+        the flank of drive, below at that of coast; 0 where it could not be distinguished from
+        none."""
         self._gear: int | None = None
         self._torque_share: float | None = None
         self.torque_step = 0.01
         """EEC1 says the torque in steps of this share of the reference torque."""
         self._asked_share: float | None = None
-        self._looks: deque[tuple[int, float, float]] = deque(maxlen=MOST_LOOKS)
+        self._measurements: deque[tuple[int, float, float]] = deque(maxlen=MOST_MEASUREMENTS)
         """Times, the engine's speed, and its torque as a share, with one gear in mesh."""
 
     @property
@@ -66,14 +67,16 @@ class DrivelineLook:
     @property
     def engine_rad_s2(self) -> float:
         """The engine's acceleration; 0 before it was seen for long enough."""
-        looks = list(self._looks)[-ENGINE_LOOKS:]
-        if len(looks) < ENGINE_LOOKS:
+        measurements = list(self._measurements)[-ENGINE_MEASUREMENTS:]
+        if len(measurements) < ENGINE_MEASUREMENTS:
             return 0.0
-        return (looks[-1][1] - looks[0][1]) / ((looks[-1][0] - looks[0][0]) * US)
+        return (measurements[-1][1] - measurements[0][1]) / (
+            (measurements[-1][0] - measurements[0][0]) * US
+        )
 
-    def look(self, state: State, snapshot: StepSnapshot) -> None:
+    def measure(self, state: State, snapshot: StepSnapshot) -> None:
         """One step."""
-        self.rings.look(state, snapshot)
+        self.rings.measure(state, snapshot)
         if snapshot.engine_torque_share is not None:
             self._torque_share = snapshot.engine_torque_share
             self.torque_step = snapshot.engine_torque_step
@@ -84,17 +87,17 @@ class DrivelineLook:
         if not opening:
             self._asked_share = None
         if (state is not State.IN_GEAR and not opening) or gear != self._gear:
-            self._looks.clear()
+            self._measurements.clear()
             self._gear = gear
         elif speed is not None and self._torque_share is not None:
-            self._looks.append((snapshot.now_us, speed, self._torque_now(snapshot.now_us)))
+            self._measurements.append((snapshot.now_us, speed, self._torque_now(snapshot.now_us)))
 
     def _torque_now(self, now_us: int) -> float:
         """The engine's torque: as it says, or within its steps as it follows what is asked."""
         said = self._torque_share or 0.0
-        if self._asked_share is None or not self._looks:
+        if self._asked_share is None or not self._measurements:
             return said
-        before_us, _, share = self._looks[-1]
+        before_us, _, share = self._measurements[-1]
         follows = -math.expm1(-(now_us - before_us) * US / self._sheet.engine.lag_s)
         share += follows * (self._asked_share - share)
         half_step = 0.5 * self.torque_step
@@ -117,15 +120,15 @@ class DrivelineLook:
         self.learned = self.known
 
     def press(self, pulled_nm: float, doubt_nm: float, harmless_nm: float) -> None:
-        """What the shafts carry as a ramp begins, and its error: it tells their flank. What the
-        ramp leaves there is what may be left, and what cannot be told."""
-        told = abs(pulled_nm) > TOLD_SD * doubt_nm
-        left_nm = math.hypot(harmless_nm, doubt_nm) if told else 0.0
+        """What the shafts carry as a ramp begins, and its error: it reports their flank. What the
+        ramp leaves there is what may be left, and what cannot be determined."""
+        reported = abs(pulled_nm) > REPORTED_SD * doubt_nm
+        left_nm = math.hypot(harmless_nm, doubt_nm) if reported else 0.0
         self.pressed_nm = math.copysign(left_nm, pulled_nm)
 
     def torque_sd_nm(self, engine_rad_s2: float) -> float:
-        """Error of the torque by which the engine is told to load the shafts, at the crankshaft: of
-        its steps, and of its inertia at this acceleration."""
+        """Error of the torque by which the engine is commanded to load the shafts, at the
+        crankshaft: of its steps, and of its inertia at this acceleration."""
         engine = self._sheet.engine
         own_nm = engine.inertia_tolerance * engine.inertia_kgm2 * engine_rad_s2
         read_nm = 0.5 * self.torque_step * engine.reference_nm
@@ -133,26 +136,30 @@ class DrivelineLook:
 
     def mean_share(self, period_us: float) -> float | None:
         """The engine's torque over the last period; None before it was seen."""
-        if len(self._looks) < LEAST_LOOKS:
+        if len(self._measurements) < LEAST_MEASUREMENTS:
             return None
-        since_us = self._looks[-1][0] - period_us
-        shares = [share for time_us, _, share in self._looks if time_us >= since_us]
+        since_us = self._measurements[-1][0] - period_us
+        shares = [share for time_us, _, share in self._measurements if time_us >= since_us]
         return sum(shares) / len(shares)
 
     def fit(self, bodies: GearedBodies, since_us: float) -> tuple[SwingFit, float] | None:
         """What engine and vehicle have done since a time, and the torque (Nm at the crankshaft)
         that the fit's acceleration is with; None where too little was seen."""
-        looks = np.array([look for look in self._looks if look[0] >= since_us])
-        if len(looks) < LEAST_LOOKS:
+        measurements = np.array(
+            [measurement for measurement in self._measurements if measurement[0] >= since_us]
+        )
+        if len(measurements) < LEAST_MEASUREMENTS:
             return None
         reference_nm = self._sheet.engine.reference_nm
-        course = EngineCourse(
-            looks[:, 0] * US,
-            looks[:, 1] / bodies.ratio,
-            looks[:, 2] * reference_nm * bodies.ratio,
+        trajectory = EngineTrajectory(
+            measurements[:, 0] * US,
+            measurements[:, 1] / bodies.ratio,
+            measurements[:, 2] * reference_nm * bodies.ratio,
         )
-        found = fit_swing(course, bodies.ratio, bodies.engine_kgm2, self.known)
-        return found._replace(known=self._within(found.known)), float(looks[0, 2]) * reference_nm
+        found = fit_swing(trajectory, bodies.ratio, bodies.engine_kgm2, self.known)
+        return found._replace(known=self._within(found.known)), float(
+            measurements[0, 2]
+        ) * reference_nm
 
     def _within(self, known: Known) -> Known:
         """The same within the sheet's tolerances."""

@@ -1,5 +1,5 @@
-"""The course of a shaft by a cloud of drivelines, where it can be worked out on paper: drivelines
-that turn amid a wide backlash, which nothing slows down."""
+"""The trajectory of a shaft by a cloud of particles, where it can be worked out on paper:
+drivelines that turn amid a wide backlash, which nothing slows down."""
 
 from __future__ import annotations
 
@@ -9,15 +9,6 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from meshpoint.controller.motion.lash_course import (
-    LEAST_SD_RAD,
-    MOST_SURE,
-    MOST_TICKS,
-    STEP_S,
-    STEPS,
-    Chance,
-    LashCourse,
-)
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -31,6 +22,15 @@ from meshpoint.controller.motion.lash_motion import (
     WAY,
     WHEELS,
     LashModel,
+)
+from meshpoint.controller.motion.lash_trajectory import (
+    LEAST_SD_RAD,
+    MOST_SURE,
+    MOST_TICKS,
+    STEP_S,
+    STEPS,
+    Chance,
+    LashTrajectory,
 )
 from meshpoint.controller.records import Vector
 
@@ -51,8 +51,8 @@ def turning(speeds: list[float], angles: list[float] | None = None) -> Vector:
     return x
 
 
-def course_of(x: Vector, spread: Vector = SPREAD, doubt: float = 1.0) -> LashCourse:
-    return LashCourse(x, MODEL, (spread, CHANCE), HALF_GAP_RAD, doubt)
+def trajectory_of(x: Vector, spread: Vector = SPREAD, nis: float = 1.0) -> LashTrajectory:
+    return LashTrajectory(x, MODEL, (spread, CHANCE), HALF_GAP_RAD, nis)
 
 
 def variance_after(seconds: float, spread: Vector = SPREAD) -> float:
@@ -87,39 +87,41 @@ def deviation_within_a_gap(share: float) -> float:
 
 @pytest.mark.parametrize("wait_s", [0.0, 0.02, 0.045, 0.1])
 def test_drivelines_that_are_alike_turn_on_and_are_as_sure_as_each_of_them(wait_s: float) -> None:
-    course = course_of(turning([61.0] * 5))
-    assert course.ahead(wait_s) == pytest.approx((61.0 * wait_s, 61.0), abs=1e-9)
+    trajectory = trajectory_of(turning([61.0] * 5))
+    assert trajectory.ahead(wait_s) == pytest.approx((61.0 * wait_s, 61.0), abs=1e-9)
     surest = deviation_within_a_gap(MOST_SURE)
     expected = max(surest, math.sqrt(variance_after(wait_s)))
-    assert course.theta_sd_ahead(wait_s) == pytest.approx(expected, rel=5e-3)
+    assert trajectory.theta_sd_ahead(wait_s) == pytest.approx(expected, rel=5e-3)
 
 
 def test_where_the_figures_would_make_an_angle_surer_than_bearings_let_it_be_it_is_not() -> None:
     """Speed and drag that are thought to make good for each other."""
     pulled = np.zeros((3, 3))
     pulled[0, 1] = pulled[1, 0] = -1e-3
-    course = LashCourse(turning([60.0] * 3), MODEL, (pulled, Chance(0.0, 0.03)), 4.0 * LEAST_SD_RAD)
-    assert course.theta_sd_ahead(0.05) >= LEAST_SD_RAD
+    trajectory = LashTrajectory(
+        turning([60.0] * 3), MODEL, (pulled, Chance(0.0, 0.03)), 4.0 * LEAST_SD_RAD
+    )
+    assert trajectory.theta_sd_ahead(0.05) >= LEAST_SD_RAD
 
 
-def test_a_course_goes_on_at_its_speed_before_its_begin_and_behind_its_end() -> None:
-    course, end_s = course_of(turning([61.0] * 3)), STEP_S * (STEPS - 1)
-    assert course.ahead(-0.01) == pytest.approx((-0.61, 61.0), abs=1e-9)
-    assert course.ahead(end_s + 0.05) == pytest.approx((61.0 * (end_s + 0.05), 61.0), abs=1e-9)
-    assert course.theta_sd_ahead(-1.0) == course.theta_sd_ahead(0.0)
-    assert course.theta_sd_ahead(1.0) == course.theta_sd_ahead(end_s)
+def test_a_trajectory_goes_on_at_its_speed_before_its_begin_and_behind_its_end() -> None:
+    trajectory, end_s = trajectory_of(turning([61.0] * 3)), STEP_S * (STEPS - 1)
+    assert trajectory.ahead(-0.01) == pytest.approx((-0.61, 61.0), abs=1e-9)
+    assert trajectory.ahead(end_s + 0.05) == pytest.approx((61.0 * (end_s + 0.05), 61.0), abs=1e-9)
+    assert trajectory.theta_sd_ahead(-1.0) == trajectory.theta_sd_ahead(0.0)
+    assert trajectory.theta_sd_ahead(1.0) == trajectory.theta_sd_ahead(end_s)
 
 
-def test_seen_from_later_it_is_the_same_course() -> None:
+def test_seen_from_later_it_is_the_same_trajectory() -> None:
     """Also from later than later; the first one stays as it was."""
-    first = course_of(turning([60.0, 60.2, 60.4, 65.0]))
+    first = trajectory_of(turning([60.0, 60.2, 60.4, 65.0]))
     later = first.after(0.01).after(0.015)
     for wait_s in (-0.02, 0.0, 0.03, 0.2):
         assert later.ahead(wait_s) == pytest.approx(first.ahead(wait_s + 0.025))
         assert later.theta_sd_ahead(wait_s) == pytest.approx(first.theta_sd_ahead(wait_s + 0.025))
     assert first.since_s == 0.0
     found, alone = np.empty((2, 9)), first.after(0.025)
-    later.course(0.004, 0.003, found)
+    later.trajectory(0.004, 0.003, found)
     for k in range(9):
         assert found[:, k] == pytest.approx(alone.ahead(0.004 + 0.003 * k))
 
@@ -128,22 +130,22 @@ def test_the_angle_is_that_of_the_drivelines_most_of_which_share_a_gap() -> None
     """Three together and one beyond a whole gap: it is the three's, with three fourths of what
     they would be sure of."""
     near = HALF_GAP_RAD * np.array((0.5, 0.1, 0.0))
-    course = course_of(turning([61.0, 62.0, 63.0, 61.0], [*near, -2.1 * HALF_GAP_RAD]))
-    angle, speed = course.ahead(0.0)
+    trajectory = trajectory_of(turning([61.0, 62.0, 63.0, 61.0], [*near, -2.1 * HALF_GAP_RAD]))
+    angle, speed = trajectory.ahead(0.0)
     assert (angle, speed) == pytest.approx((near.mean(), 62.0))
     width = math.sqrt(2.0 * (near.var() + variance_after(0.0)))
     sure = 0.75 * math.erf(HALF_GAP_RAD / width)
-    assert course.theta_sd_ahead(0.0) == pytest.approx(deviation_within_a_gap(sure), rel=5e-3)
+    assert trajectory.theta_sd_ahead(0.0) == pytest.approx(deviation_within_a_gap(sure), rel=5e-3)
 
 
 def test_of_groups_as_large_the_one_in_the_middle_counts() -> None:
     three = [-3.0 * HALF_GAP_RAD, 0.0, 3.0 * HALF_GAP_RAD]
-    assert course_of(turning([60.0] * 3, three)).ahead(0.0)[0] == pytest.approx(0.0)
+    assert trajectory_of(turning([60.0] * 3, three)).ahead(0.0)[0] == pytest.approx(0.0)
 
 
 def test_a_cloud_that_was_off_by_twice_what_it_said_says_twice_as_much() -> None:
     x = turning([60.0, 60.1, 60.5])
-    once, twice = course_of(x.copy()), course_of(x.copy(), doubt=2.0)
+    once, twice = trajectory_of(x.copy()), trajectory_of(x.copy(), nis=2.0)
     for wait_s in (0.0, 0.03, 0.07):
         assert twice.theta_sd_ahead(wait_s) == pytest.approx(2.0 * once.theta_sd_ahead(wait_s))
         assert twice.ahead(wait_s) == once.ahead(wait_s)
@@ -153,16 +155,16 @@ def test_what_is_told_of_the_speed_is_the_cloud_s() -> None:
     """How fast the shaft turns against the vehicle, how sure that is, and what the hill does."""
     x = turning([61.0, 63.0])
     x[HILL] = 1.0, 2.0
-    course = course_of(x)
-    assert course.speed_rad_s == pytest.approx(62.0 - 60.0)
-    assert course.speed_sd_rad_s == pytest.approx(math.sqrt(1.0 + SPREAD[1, 1]))
-    assert course.hill_rad_s2 == pytest.approx(1.5)
+    trajectory = trajectory_of(x)
+    assert trajectory.speed_rad_s == pytest.approx(62.0 - 60.0)
+    assert trajectory.speed_sd_rad_s == pytest.approx(math.sqrt(1.0 + SPREAD[1, 1]))
+    assert trajectory.hill_rad_s2 == pytest.approx(1.5)
 
 
 def test_nothing_is_found_out_by_waiting_where_all_drivelines_are_alike() -> None:
-    course = course_of(turning([60.0] * 8))
-    expected = [course.theta_sd_ahead(0.045) ** 2] * 12
-    assert course.outlook(0.045, 0.01, 12).tolist() == pytest.approx(expected)
+    trajectory = trajectory_of(turning([60.0] * 8))
+    expected = [trajectory.theta_sd_ahead(0.045) ** 2] * 12
+    assert trajectory.outlook(0.045, 0.01, 12).tolist() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("many", [8, 240])
@@ -171,18 +173,18 @@ def test_which_of_two_drivelines_it_is_shows_as_they_part(many: int, tick_s: flo
     """Edges tell two angles d apart, each known to s: the wrong one's weight is exp(-d^2/4s^2).
     When the sleeve arrives they are more than a gap apart, so being right is being in the gap."""
     spread = np.diag((2e-5, 0.0, 0.0))
-    told = spread[0, 0] + LEAST_SD_RAD**2
-    course = course_of(turning([60.0] * (many // 2) + [61.2] * (many // 2)), spread)
+    reported = spread[0, 0] + LEAST_SD_RAD**2
+    trajectory = trajectory_of(turning([60.0] * (many // 2) + [61.2] * (many // 2)), spread)
     horizon_s = 0.045
     in_gap = math.erf(HALF_GAP_RAD / math.sqrt(2.0 * variance_after(horizon_s, spread)))
-    found = course.outlook(horizon_s, tick_s, MOST_TICKS + 2)
+    found = trajectory.outlook(horizon_s, tick_s, MOST_TICKS + 2)
     apart = 1.2 * tick_s * np.arange(MOST_TICKS)
-    shares = in_gap / (1.0 + np.exp(-0.25 * apart**2 / told))
+    shares = in_gap / (1.0 + np.exp(-0.25 * apart**2 / reported))
     variances = np.array([deviation_within_a_gap(share) for share in shares]) ** 2
     expected = found[0] * variances / variances[0]
     assert found[:MOST_TICKS] == pytest.approx(expected, rel=2e-2)
     assert found[MOST_TICKS:].tolist() == [found[MOST_TICKS - 1]] * 2
-    assert found[0] == pytest.approx(course.theta_sd_ahead(horizon_s) ** 2)
+    assert found[0] == pytest.approx(trajectory.theta_sd_ahead(horizon_s) ** 2)
 
 
 def test_two_that_come_together_again_are_told_apart_by_how_far_they_were_apart() -> None:
@@ -190,7 +192,7 @@ def test_two_that_come_together_again_are_told_apart_by_how_far_they_were_apart(
     7.5 ms, and what was seen then stays known."""
     x = turning([60.0, 66.0])
     x[DRAG, 1] = 800.0
-    outlook = course_of(x, np.diag((2e-5, 0.0, 0.0))).outlook(0.07, 2.5e-3, MOST_TICKS)
+    outlook = trajectory_of(x, np.diag((2e-5, 0.0, 0.0))).outlook(0.07, 2.5e-3, MOST_TICKS)
     assert outlook[3:] == pytest.approx([outlook[3]] * (MOST_TICKS - 3))
     assert outlook[3] < outlook[2] < outlook[1] < outlook[0]
 
@@ -204,12 +206,12 @@ def scattered() -> Vector:
     return x
 
 
-def test_a_step_asked_for_alone_is_that_of_the_whole_course_to_the_bit() -> None:
-    whole = course_of(scattered(), doubt=1.3)
+def test_a_step_asked_for_alone_is_that_of_the_whole_trajectory_to_the_bit() -> None:
+    whole = trajectory_of(scattered(), nis=1.3)
     found = np.empty((2, 2 * STEPS))
-    whole.course(-STEP_S, 0.7 * STEP_S, found)
+    whole.trajectory(-STEP_S, 0.7 * STEP_S, found)
     for k, (angle, speed) in enumerate(found.T.tolist()):
-        alone, wait_s = course_of(scattered(), doubt=1.3), -STEP_S + 0.7 * STEP_S * k
+        alone, wait_s = trajectory_of(scattered(), nis=1.3), -STEP_S + 0.7 * STEP_S * k
         assert alone.ahead(wait_s) == (angle, speed)
-        again = course_of(scattered(), doubt=1.3)
+        again = trajectory_of(scattered(), nis=1.3)
         assert again.theta_sd_ahead(wait_s) == whole.theta_sd_ahead(wait_s)

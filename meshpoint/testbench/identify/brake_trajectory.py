@@ -113,7 +113,7 @@ def prior_of(sheet: GearboxSheet) -> Prior:
 
 
 @dataclass(frozen=True)
-class Course:
+class Trajectory:
     """One run made ready for the fit."""
 
     angle: Vector
@@ -147,9 +147,9 @@ class Course:
     """-0.5 at the log's first run, 0.5 at its last."""
 
 
-def make_course(
+def make_trajectory(
     run: FreeRun, sheet: GearboxSheet, error_rad: Vector, zero_pa: float, share_of_log: float
-) -> Course | None:
+) -> Trajectory | None:
     """A run as the fit wants it; None where it is too short. error_rad: of each of the wheel's
     edges; zero_pa: what the pressure sensor shows of an empty brake, absolute."""
     wheel = run.layshaft
@@ -178,7 +178,7 @@ def make_course(
     early = seconds < 0.02
     slope = np.polyfit(seconds[early], theta[early], 1)[0] if early.sum() > 3 else 100.0
     atmosphere, start_us = sheet.air.atmosphere_pa, run.start_us - LEAD_S / US
-    return Course(
+    return Trajectory(
         angle=angle,
         weights=weights,
         edges=count[used].astype(np.float64),
@@ -222,37 +222,39 @@ def angles_at(place: Vector, angles: Vector, speeds: Vector) -> Vector:
     return np.asarray(left + s * s * (3.0 - 2.0 * s) * (right - left) + bend)
 
 
-class BrakeCourses:
+class BrakeTrajectories:
     """All runs, gone through at once for many parameter vectors."""
 
-    def __init__(self, courses: list[Course], sheet: GearboxSheet, is_choked: bool) -> None:
-        self._courses = courses
+    def __init__(
+        self, trajectories: list[Trajectory], sheet: GearboxSheet, is_choked: bool
+    ) -> None:
+        self._trajectories = trajectories
         self._sheet = sheet
         self._is_choked = is_choked
-        self._nodes = max(course.nodes for course in courses)
+        self._nodes = max(trajectory.nodes for trajectory in trajectories)
         self._rate = 1.0 / sheet.brake.time_constant_s
         self.omega_ref = 1000.0 * RPM
-        """Speed (rad/s) at which gain and drag are told; set from the log."""
+        """Speed (rad/s) at which gain and drag are reported; set from the log."""
         shares = sheet.shafts
         self._ratio = shares.input_inertia_kgm2 / shares.layshaft_inertia_kgm2
-        self._i2 = np.array([course.i_split**-2 for course in courses])
-        self._split = np.array([course.i_split for course in courses])
+        self._i2 = np.array([trajectory.i_split**-2 for trajectory in trajectories])
+        self._split = np.array([trajectory.i_split for trajectory in trajectories])
         # Where the engine's speed is not known the plates are taken to turn with the shaft's own.
-        self._engine = np.zeros((self._nodes, len(courses)))
-        self._knows = np.zeros(len(courses))
-        for number, course in enumerate(courses):
-            known = bool(np.isfinite(course.engine_rad_s).all())
+        self._engine = np.zeros((self._nodes, len(trajectories)))
+        self._knows = np.zeros(len(trajectories))
+        for number, trajectory in enumerate(trajectories):
+            known = bool(np.isfinite(trajectory.engine_rad_s).all())
             self._knows[number] = float(known)
-            self._engine[: course.nodes, number] = course.engine_rad_s if known else 0.0
-        self._late = np.array([course.share_of_log for course in courses])
-        self._measured_pa = np.array([course.supply_pa for course in courses])
+            self._engine[: trajectory.nodes, number] = trajectory.engine_rad_s if known else 0.0
+        self._late = np.array([trajectory.share_of_log for trajectory in trajectories])
+        self._measured_pa = np.array([trajectory.supply_pa for trajectory in trajectories])
 
     def run(self, parameters: Vector, omega_rad_s: Vector) -> tuple[Vector, Vector, Vector]:
         """Angles, speeds and felt pressures at the grid's nodes, (nodes, lanes, runs); pressure is
         gauge. parameters: (lanes, COUNT); omega_rad_s: at each run's first node, (runs,). Angles
         are those since the first node."""
         p, sheet = parameters[:, :, None], self._sheet
-        first = self._courses[0].first_node
+        first = self._trajectories[0].first_node
         switched = self._switched(parameters)
         supply = np.maximum(self._measured_pa + p[:, P.SUPPLY] * BAR, 1e4)
         gain = sheet.brake_nm_per_pa * np.exp(p[:, P.GAIN]) * (1.0 + p[:, P.BY_TIME] * self._late)
@@ -294,11 +296,11 @@ class BrakeCourses:
 
     def _switched(self, parameters: Vector) -> Vector:
         """Share of each step in which the valve acts as on, (nodes, lanes, runs)."""
-        shape = (self._nodes, parameters.shape[0], len(self._courses))
+        shape = (self._nodes, parameters.shape[0], len(self._trajectories))
         acting = np.zeros(shape)
         begins = np.arange(self._nodes)[:, None] * GRID_S
-        for number, course in enumerate(self._courses):
-            for at_s, on in course.switches:
+        for number, trajectory in enumerate(self._trajectories):
+            for at_s, on in trajectory.switches:
                 delay = parameters[:, P.ON_DELAY if on else P.OFF_DELAY]
                 passed = np.clip((begins + GRID_S - at_s - delay) / GRID_S, 0.0, 1.0)
                 acting[:, :, number] += passed if on else -passed
