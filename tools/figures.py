@@ -103,7 +103,7 @@ def taken(record: Any, figure: Mapping[str, Any]) -> dict[str, Any]:
     """The value of a figure, and its interval where the JSON has one."""
     found = at(record, figure["json"])
     factor = FACTORS.get(figure["unit"], 1.0)
-    digits = figure.get("digits", DIGITS[figure["unit"]])
+    digits = figure.get("digits", DIGITS[figure["unit"]]) or None
     if not isinstance(found, dict):
         return {"value": round(found * factor, digits)}
     value = next(found[key] for key in VALUES if key in found)

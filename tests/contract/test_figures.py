@@ -108,6 +108,7 @@ def test_a_new_measurement_is_written_in_the_place_of_the_old_one() -> None:
     figure = {"json": "at.0", "unit": "%", "value": 1.0}
     new = figure | figures.taken({"at": [{"rate": 0.98765, "ci95": [0.9, 1.0]}]}, figure)
     assert figures.shown(new) == "98.8 % (90.0 to 100.0)"
+    assert str(figures.taken({"at": 7.0}, {"json": "at", "unit": ""})) == "{'value': 7}"
     text = figures.rewritten(old, "a", {"commit": "3333333"}, {"b": new})
     assert text == old.replace("1111111", "3333333").replace(
         '{unit = "%", value = 1.0}',
