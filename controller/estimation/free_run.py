@@ -71,7 +71,7 @@ class FreeRun:
         best, and gain and drag with what the run then says of them.
 
         While they are looked for, gain and drag are as open as before the first shift: what earlier
-        shifts told of them holds for the touch and the lag that were believed then."""
+        shifts showed of them holds for the touch and the lag that were believed then."""
         tuning, known, open_p = self._tuning, brake.touch_and_lag, self._p.copy()
         inertia = motion.inertia_kgm2
         for figure, open_sd in ((GAIN, tuning.gain_sd), (DRAG, tuning.drag_sd_nm / inertia)):
