@@ -88,7 +88,7 @@ def test_the_page_counts_outcomes_for_the_logs_strategy_alone(
 ) -> None:
     simulated, _, page = replayed
     summary = page[page.index("Summary of the log") : page.index("<h2>What")]
-    counted = re.findall(r"<td>(?:learning|aimed)</td><td>(\w+)</td>", summary)
+    counted = re.findall(r"<td[^>]*>(?:learning|aimed)</td><td[^>]*>(\w+)</td>", summary)
     assert set(counted) == {RECORDED}
     aimed = [row for row in simulated["shifts"] if row["reference"] == "known"]
     gap = sum(row["contact"] == "gap" for row in aimed)

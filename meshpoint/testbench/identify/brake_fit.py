@@ -95,17 +95,17 @@ def fit(
     whitenings = [_whitening(trajectory) for trajectory in trajectories]
     at = prior.mean.copy()
     omega = np.array([trajectory.omega_rad_s for trajectory in trajectories])
-    weight = np.ones(len(trajectories))
+    shares = np.ones(len(trajectories))
     for iteration in range(ITERATIONS):
         parts, own = _equations(model, trajectories, whitenings, at, omega, prior)
         odd = np.array([part.reduced_chi2 for part in parts]) / np.median(
             [p.reduced_chi2 for p in parts]
         )
         # First runs that do not fit weigh less, so that the others draw near; then they are out.
-        weight = np.minimum(1.0, (ODD / odd) ** 2)
+        shares = np.minimum(1.0, (ODD / odd) ** 2)
         if iteration >= DOUBTING:
-            weight = np.where(odd > MOST_ODD, 0.0, 1.0)
-        parts = [part.weighed(share) for part, share in zip(parts, weight, strict=True)]
+            shares = np.where(odd > MOST_ODD, 0.0, 1.0)
+        parts = [part.weighed(share) for part, share in zip(parts, shares, strict=True)]
         normal = weight + sum(part.normal for part in parts)
         right = weight @ (prior.mean - at) + sum(part.right for part in parts)
         step: Vector = np.linalg.solve(normal, right).astype(np.float64)
@@ -114,8 +114,8 @@ def fit(
         omega = omega + np.array([one(step) for one in own])
         if iteration > DOUBTING and np.max(np.abs(step) / prior.sd) < CONVERGED:
             break
-    used = weight > 0.0
-    parts = [part for part, share in zip(parts, weight, strict=True) if share > 0.0]
+    used = shares > 0.0
+    parts = [part for part, share in zip(parts, shares, strict=True) if share > 0.0]
     without = np.array([_without(at, normal, right, part) for part in parts])
     reduced_chi2 = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
     covariance: Vector = np.linalg.inv(normal).astype(np.float64)
