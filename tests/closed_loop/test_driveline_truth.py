@@ -54,9 +54,9 @@ class MadCore(ControllerCore):
             (driveline, "passes_clutch"),
             (driveline, "passes_engine"),
         ):
-            setattr(judge, name, self._measure(judge, getattr(judge, name), guarded))
+            setattr(judge, name, self._watched(judge, getattr(judge, name), guarded))
 
-    def _measure(
+    def _watched(
         self, judge: Any, passes: Callable[..., bool], guarded: bool
     ) -> Callable[..., bool]:
         def measurement(*frame: Any) -> bool:

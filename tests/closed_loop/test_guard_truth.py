@@ -57,9 +57,9 @@ class MadCore(ControllerCore):
         self.truth: Any = None
         self._passes = self._guard.passes
         self._is_guarded = guarded
-        self._guard.passes = self._measurement  # type: ignore[method-assign]
+        self._guard.passes = self._watched  # type: ignore[method-assign]
 
-    def _measure(self, payload: bytes, seen: Any) -> bool:
+    def _watched(self, payload: bytes, seen: Any) -> bool:
         passes = self._passes(payload, seen)
         if self.is_mad and self._guard.blocked_row is not None:
             self.rows.append(self._guard.blocked_row)
