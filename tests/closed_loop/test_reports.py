@@ -9,6 +9,7 @@ import pytest
 from loop_bench import SHEET, Loop
 
 from meshpoint.controller.report.reporter import ETC2_EVERY
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     ETC1,
@@ -103,3 +104,12 @@ def test_a_step_is_as_late_as_can_be_said() -> None:
     late, receiver = loop.core.step(loop.core.next_step_us + 90_000), Receiver(*Node)
     status = [receiver.receive(frame).message for frame in late.frames][-1]
     assert status.step_lateness_us == 65_535
+
+
+def test_the_next_step_after_a_change_of_settings_has_their_run_hash() -> None:
+    loop = Loop().run(50_000)
+    before = loop.header.run_hash
+    loop.core.change_settings(ControllerSettings(strategy_name="speed_window"))
+    loop.run(80_000)
+    reported = loop.status.run_hash_high << 32 | loop.status.run_hash_low
+    assert reported == loop.core.header.run_hash != before
