@@ -73,35 +73,23 @@ def stalls_s() -> dict[tuple[int, int], float]:
 
 
 class GrantedTime:
-    """A meter: wall seconds less those in which one of ours was kept from running.
+    """A meter: wall seconds less those in which one of ours was kept from running."""
 
-    clock, stalls: where the wall time and the stalls of each thread come from.
-    """
-
-    def __init__(
-        self,
-        clock: Meter = time.monotonic,
-        stalls: Callable[[], dict[tuple[int, int], float]] = stalls_s,
-        look_every_s: float = _LOOK_EVERY_S,
-    ) -> None:
-        self._clock, self._stalls, self._look_every_s = clock, stalls, look_every_s
-        self._seen_s, self._seen_stalls = clock(), stalls()
-        self.stalled_s = 0.0
+    def __init__(self) -> None:
+        self._seen_s, self._seen_stalls = time.monotonic(), stalls_s()
         self._granted_s = 0.0
 
     def __call__(self) -> float:
-        now_s = self._clock()
+        now_s = time.monotonic()
         wall_s = now_s - self._seen_s
-        if wall_s >= self._look_every_s:
-            stalls = self._stalls()
+        if wall_s >= _LOOK_EVERY_S:
+            stalls = stalls_s()
             # Several wait at once; one that is new may have waited since its birth.
             longest_s = max(
                 (stall - self._seen_stalls.get(thread, 0.0) for thread, stall in stalls.items()),
                 default=0.0,
             )
-            stalled_s = min(wall_s, max(0.0, longest_s))
-            self.stalled_s += stalled_s
-            self._granted_s += wall_s - stalled_s
+            self._granted_s += wall_s - min(wall_s, max(0.0, longest_s))
             self._seen_s, self._seen_stalls = now_s, stalls
         return self._granted_s
 
@@ -118,14 +106,9 @@ class Patience:
         self._began_s = self._meter()
         self._wall_began_s = time.monotonic()
 
-    @property
-    def spent_s(self) -> float:
-        """So much of it has passed."""
-        return self._meter() - self._began_s
-
     def check(self, what: str, say: Callable[[], object] = lambda: "") -> None:
         """AssertionError once it is used up. what: what is awaited; say: what was seen instead."""
-        if self.spent_s <= self.limit_s:
+        if self._meter() - self._began_s <= self.limit_s:
             return
         wall_s = time.monotonic() - self._wall_began_s
         raise AssertionError(

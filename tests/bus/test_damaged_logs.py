@@ -45,22 +45,21 @@ def test_mutated_logs_are_never_read_in_part_in_silence(ending: str, tmp_path: P
 
 
 @pytest.mark.parametrize("container", [0, 1, 2])
-def test_zeros_over_a_container_header_are_a_defect(container: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("behind", "damage", "said"),
+    [
+        (0, bytes(16), "offset {at}: zeros where a container should begin"),
+        (12, b"\x0b", "an object of type 11 where a container"),
+    ],
+)
+def test_what_is_no_container_s_head_is_a_defect(
+    container: int, behind: int, damage: bytes, said: str, tmp_path: Path
+) -> None:
     path = tmp_path / "hole.blf"
-    at = blf_in_containers(path)[container]
-    content = path.read_bytes()
-    path.write_bytes(content[:at] + bytes(16) + content[at + 16 :])
-    with pytest.raises(LogError, match=f"offset {at}: zeros where a container should begin"):
-        list(read_log(path))
-
-
-@pytest.mark.parametrize("container", [0, 1, 2])
-def test_a_container_of_another_type_is_a_defect(container: int, tmp_path: Path) -> None:
-    path = tmp_path / "type.blf"
-    at = blf_in_containers(path)[container] + 12
-    content = path.read_bytes()
-    path.write_bytes(content[:at] + b"\x0b" + content[at + 1 :])
-    with pytest.raises(LogError, match="an object of type 11 where a container"):
+    head = blf_in_containers(path)[container]
+    content, at = path.read_bytes(), head + behind
+    path.write_bytes(content[:at] + damage + content[at + len(damage) :])
+    with pytest.raises(LogError, match=said.format(at=head)):
         list(read_log(path))
 
 

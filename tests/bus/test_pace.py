@@ -147,17 +147,10 @@ def test_a_pace_file_that_is_cut_off_ends_its_processes_with_an_error(content, t
     """A signal ended them, and nothing was said."""
     path = tmp_path / "pace"
     PaceFile.create(path)
-    keeper = subprocess.Popen(
-        [sys.executable, "-m", "meshpoint.bus.pace", str(path)],
-        stdin=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    node = subprocess.Popen(
-        [sys.executable, "-c", LOOKS, str(path)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    keeper, node = (
+        subprocess.Popen([sys.executable, *words, str(path)], text=True, **pipes)
+        for words in (("-m", "meshpoint.bus.pace"), ("-c", LOOKS))
     )
     file = PaceFile(path)
     assert node.stdout.readline() == "ready\n"
@@ -173,6 +166,13 @@ def test_a_pace_file_that_is_cut_off_ends_its_processes_with_an_error(content, t
     assert keeper.returncode == 1
 
 
+def rig_on(file, core, stop):
+    node = run_node(
+        core, _SilentBus, PacedClock(file, "rig"), on_event=print, stop=stop, name="rig"
+    )
+    return asyncio.create_task(node)
+
+
 def test_a_node_whose_bus_time_is_gone_still_says_its_last(tmp_path):
     """At the last time that there was: its valves are to be switched off."""
     path = tmp_path / "pace"
@@ -183,16 +183,7 @@ def test_a_node_whose_bus_time_is_gone_still_says_its_last(tmp_path):
     core.shutdown = lambda now_us: ended_us.append(now_us) or Step([], [])
 
     async def run():
-        node = asyncio.create_task(
-            run_node(
-                core,
-                _SilentBus,
-                PacedClock(file, "rig"),
-                on_event=print,
-                stop=asyncio.Event(),
-                name="rig",
-            )
-        )
+        node = rig_on(file, core, asyncio.Event())
         while not core.next_step_us:
             await asyncio.sleep(0.01)
         path.write_bytes(b"")
@@ -234,16 +225,7 @@ def test_a_process_that_was_stopped_is_not_late_on_paced_time(tmp_path):
 
     async def run():
         stop = asyncio.Event()
-        node = asyncio.create_task(
-            run_node(
-                core,
-                _SilentBus,
-                PacedClock(file, "rig"),
-                on_event=print,
-                stop=stop,
-                name="rig",
-            )
-        )
+        node = rig_on(file, core, stop)
         while len(core.late_us) < 40:
             await asyncio.sleep(0.01)
         stop.set()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -15,11 +13,9 @@ import pytest
 from campaigns import campaign, small_spec
 
 from meshpoint.testbench.campaign import runner
-from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import RunResult, run_many
 from meshpoint.testbench.campaign.runner import MOST_DEATHS, WorkersLostError, run_all
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.exits import Exit
 
 SPEC = small_spec()
@@ -168,72 +164,6 @@ def test_a_campaign_whose_workers_are_lost_says_what_is_kept_and_goes_on_from_th
     assert resumed.code == Exit.DONE
     assert resumed.text == wanted.text
     assert resumed.table == wanted.table
-
-
-CLUSTER = """
-import asyncio
-from distributed import Scheduler, Worker
-
-async def main():
-    async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
-        async with Worker(scheduler.address, nthreads=1, dashboard=False):
-            print(scheduler.address, flush=True)
-            await scheduler.finished()
-
-asyncio.run(main())
-"""
-
-
-@contextmanager
-def scheduler_with_a_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """In a process of its own: the scheduler's address, and the process."""
-    with subprocess.Popen(
-        [sys.executable, "-c", CLUSTER], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        text=True,
-    ) as process:  # fmt: skip
-        try:
-            assert process.stdout is not None
-            yield process.stdout.readline().strip(), process
-        finally:
-            process.kill()
-
-
-@pytest.mark.long
-def test_a_scheduler_that_is_killed_costs_nothing_that_was_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from dask.distributed import LocalCluster
-
-    add = Store.add
-    with scheduler_with_a_worker() as (address, scheduler), monkeypatch.context() as patch:
-
-        def killed(store: Store, records: list[JudgedShift]) -> None:
-            add(store, records)
-            scheduler.kill()
-
-        patch.setattr(Store, "add", killed)
-        assert campaign(tmp_path, *CHEAP, "--dask", address).code == Exit.FAILED
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "the connection to the scheduler is lost: " in said
-    done = int(said.split(" of 3 runs")[0].split()[-1])
-    assert 1 <= done < 3
-    made: list[list[JudgedShift]] = []
-
-    def counted(store: Store, records: list[JudgedShift]) -> None:
-        made.append(records)
-        add(store, records)
-
-    monkeypatch.setattr(Store, "add", counted)
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-    ) as another:
-        resumed = campaign(tmp_path, *CHEAP, "--dask", another.scheduler_address, "--resume")
-    assert resumed.code == Exit.DONE
-    assert len(made) == 3 - done
-    (tmp_path / "here").mkdir()
-    here = campaign(tmp_path / "here", *CHEAP, "--jobs", "1")
-    assert resumed.text == here.text
-    assert resumed.table == here.table
 
 
 DEADLY = """

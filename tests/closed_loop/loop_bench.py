@@ -133,7 +133,7 @@ class Loop:
         self.events: list[str] = []
         self._decoder = Receiver(*Node)
         self.nodes: list[Core] = [self.controller, self.rig, self.operator]
-        self.time = VirtualTime(self.nodes, list(self.phases_us), self._take, self._event)
+        self.time = VirtualTime(self.nodes, list(self.phases_us), self.take, self._event)
 
     @property
     def core(self) -> ControllerCore:
@@ -202,7 +202,8 @@ class Loop:
             ),
         )
 
-    def _take(self, time_us: int, frame: Frame) -> None:
+    def take(self, time_us: int, frame: Frame) -> None:
+        """A frame that was on the bus."""
         self.frames.append((time_us, frame))
         message = self._decoder.receive(frame).message
         if message is not None:

@@ -29,7 +29,7 @@ def test_a_sensor_without_the_sheet_s_lag_is_not_taken_for_a_brake_with_other_to
     loop = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK, drawn)
     for _ in range(4):
         loop.shift()
-    core: Any = loop._controller
+    core: Any = loop.controller
     tracker = core.observer.layshaft
     brake = tracker._known
     assert brake.sensor_lag_s.value * 1e3 == pytest.approx(0.0, abs=1.0)

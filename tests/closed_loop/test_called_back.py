@@ -33,7 +33,7 @@ def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> tuple[ShiftRow
     for _ in range(3):
         loop.shift()
     said: list[int] = []
-    core: Any = loop._controller
+    core: Any = loop.controller
     plain = TargetPhase.is_to_go_back
 
     def doubting(

@@ -25,7 +25,7 @@ def test_a_linear_driveline_is_found_to_swing_by_itself_and_by_no_noise() -> Non
     drawn = draw(SEED, sheet, Preset.TRUCK, upshifts(), 8, SWINGS, Profile.CLEAN)
     loop = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK, drawn)
     reported = [loop.shift() for _ in drawn.plan]
-    observer: Observer = loop._controller.observer
+    observer: Observer = loop.controller.observer
     swing = observer.swings().low
     assert swing is not None
     assert max(swing.noise_rad2_s3) < 0.05

@@ -23,7 +23,7 @@ def released(seed: int) -> list[tuple[BehindState, float]]:
     vehicle was; the first shifts learn."""
     drawn = draw(seed, SHEET, Preset.TRUCK, upshifts(), SHIFTS, {}, Profile.TYPICAL)
     bench = ClosedLoop(SHEET, ControllerSettings(), Preset.TRUCK, drawn)
-    observer, found = bench._controller.observer, []
+    observer, found = bench.controller.observer, []
     for k in range(SHIFTS):
         bench.prepare()
         bench._run(lambda: observer.layshaft.free)

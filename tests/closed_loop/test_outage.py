@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from meshpoint.controller.header import new_header
 from meshpoint.controller.outage_record import (
     AFTER_STEPS,
     BEFORE_STEPS,
-    OutageError,
     OutageRecord,
     load_outages,
 )
@@ -165,26 +163,6 @@ def test_a_record_has_what_came_before_and_after_and_no_run_without_outage_has_o
     assert min(steps) == max(0, hole.first + NOTICED_US // 10_000 + 1 - BEFORE_STEPS)
     assert abs(max(steps) - hole.last - AFTER_STEPS) <= 1
     assert load_outages(folder, run.header.run_hash ^ 1) == {}
-
-
-@pytest.mark.parametrize(
-    "line", ["[1, 2]", '[1, "2", []]', "[-1, 2, []]", "nonsense", '[1, 2, [[1, "zz", true, true]]]',
-             "[1, 2, [[536870912, \"\", true, true]]]", "[true, 2, []]", "[" * 5_000]
-)  # fmt: skip
-def test_a_record_that_is_none_is_refused_by_name(line: str, tmp_path: Path) -> None:
-    path = tmp_path / "outage-0000000000000007-0.jsonl"
-    path.write_text(json.dumps([0, 5, []]) + "\n" + line + "\n")
-    with pytest.raises(OutageError, match=r"outage-0000000000000007-0\.jsonl, line 2"):
-        load_outages(tmp_path, 7)
-
-
-def test_a_disk_that_refuses_the_record_does_not_end_the_run(tmp_path: Path) -> None:
-    loop = Loop()
-    core = loop.core
-    away = AwayFromTheBus(loop, core, tmp_path / "nowhere")
-    away.step(1_000)
-    away.discarded = 5
-    assert any("cannot be written" in line for line in away.step(11_000).events)
 
 
 def test_a_live_controller_that_loses_its_bus_keeps_a_record(

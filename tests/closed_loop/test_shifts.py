@@ -311,6 +311,6 @@ def test_shutdown_switches_everything_off(one_shift: Loop) -> None:
     assert len(step.frames) == 2
     probe = Loop()
     for frame in step.frames:
-        probe._take(0, frame)
+        probe.take(0, frame)
     assert probe.last(ValveCommand) == ValveCommand()
     assert not probe.of(ShiftOutcome)

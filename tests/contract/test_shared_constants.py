@@ -10,8 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import pytest
-from fixed_numbers import alike, constants
+from fixed_numbers import alike
 
 ROOT: Final = Path(__file__).parents[2]
 VALVES: Final = "wire contract: number of a valve in the DBC"
@@ -109,32 +108,3 @@ def test_controller_and_rig_share_no_number_without_a_reason() -> None:
 
 def test_every_reason_is_still_needed() -> None:
     assert set(REASONS) == set(shared())
-
-
-@pytest.mark.parametrize(
-    ("mine", "theirs", "is_alike"),
-    [
-        ('lash_rad: float = quantity("lash_deg", 0, 90, DEG, default=2.0 * DEG)', 2.0, True),
-        ("LASH_RAD: Final = 2.0 * DEG", 2.0, True),
-        ("LASH_DEG = 2", 2.0, True),
-        ("WINDOW_DEG = 2.3", 2.3, True),  # two digits do not meet by chance
-        ("WINDOW_DEG = 2.0", 2.0, False),
-        ("LASH_MS = 2.0", 2.0, False),
-        ("LASH_DEG = 2.1", 2.0, False),
-    ],
-)
-def test_a_number_is_found_on_both_sides_in_whatever_unit(
-    tmp_path: Path, mine: str, theirs: float, is_alike: bool
-) -> None:
-    for name in ("one", "other"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "one" / "code.py").write_text(mine + "\n")
-    table = f'[driveline]\nbacklash_deg = [{theirs}, 1.0, 0, 9, "x; M"]\n'
-    (tmp_path / "other" / "parts.toml").write_text(table)
-    assert bool(alike(tmp_path / "one", tmp_path / "other")) is is_alike
-
-
-def test_both_sides_are_read() -> None:
-    """The sources of a size that a reader who finds nothing would not have."""
-    assert len(constants(ROOT / "controller")) > 150
-    assert len(constants(ROOT / "rig_sim")) > 200

@@ -5,15 +5,12 @@ Li and Kirubarajan 2001, 5.4.2); the runs are seeded."""
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from free_layshaft import Runs, World, drive, law_array
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import binom, chi2
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
@@ -168,46 +165,6 @@ def test_predictions_are_as_far_off_as_was_said(filtered: dict, from_us: int) ->
     inside = np.sum(np.abs(errors) < 1.96, axis=0)
     least, most = binom.ppf([0.025, 0.975], RUNS, 0.95)
     assert np.all((least <= inside) & (inside <= most)), inside
-
-
-@settings(deadline=None, max_examples=20, derandomize=True)
-@given(run=st.integers(0, RUNS - 1), delays=st.lists(st.integers(0, 3), min_size=25, max_size=25))
-def test_edges_that_come_late_end_in_the_same_state(
-    bench: Bench, run: int, delays: list[int]
-) -> None:
-    """The falling edges' frames lag by up to three reads behind the rising edges'."""
-    (time_us, angle, number), pressures = bench.runs.edges[run], bench.runs.pressures[run]
-    rising, falling = number % 2 == 0, number % 2 == 1
-    in_order, delayed = begun(bench), begun(bench)
-    arrives = np.array([min(i + lag, 24) for i, lag in enumerate(delays)])
-    # A frame that was lost is brought by the next one, so none overtakes the one before.
-    arrives = np.maximum.accumulate(arrives)
-    read = np.clip(np.ceil(time_us / BATCH_US).astype(int) - 1, 0, 24)
-    for batch in range(25):
-        span = batch * BATCH_US, (batch + 1) * BATCH_US
-        now = Pressures(*within(pressures, *span))
-        take(in_order, bench, within((time_us, angle), *span), now)
-        here = (rising & (read == batch)) | (falling & (arrives[read] == batch))
-        take(delayed, bench, np.array((time_us[here], angle[here])), now)
-    assert delayed.time_us == in_order.time_us
-    sd = np.sqrt(np.diag(in_order.p))
-    assert np.allclose(delayed.x / sd, in_order.x / sd, rtol=0.0, atol=1e-6)
-    assert np.allclose(delayed.p / np.outer(sd, sd), in_order.p / np.outer(sd, sd), atol=1e-6)
-
-
-def test_a_copy_of_a_filter_goes_on_as_the_filter_does(bench: Bench) -> None:
-    """Campaigns copy whole controllers in mid-run."""
-    edges, pressures = bench.runs.edges[0][:2], Pressures(*bench.runs.pressures[0])
-    original = begun(bench)
-    take(original, bench, within(edges, 0, 100_000), Pressures(*within(pressures, 0, 100_000)))
-    copied = copy.deepcopy(original)
-    rest = within(edges, 100_000, END_US), Pressures(*within(pressures, 100_000, END_US))
-    for crossing in (original, copied):
-        take(crossing, bench, *rest)
-    assert original.time_us > 240_000
-    assert copied.time_us == original.time_us
-    assert np.array_equal(copied.x, original.x)
-    assert np.array_equal(copied.p, original.p)
 
 
 def test_a_wheels_teeth_are_learned_as_well_as_is_said(sheet: GearboxSheet) -> None:

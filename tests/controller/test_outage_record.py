@@ -171,6 +171,13 @@ def test_a_step_at_the_ends_of_what_is_allowed_is_read_and_a_line_cut_off_is_lef
         ('[1, 2, [[1.0, "", 0, 0]]]', r"identifier 1\.0"),
         ('[1, 2, [[1, "' + "00" * 65 + '", 0, 0]]]', "65 bytes of data"),
         ("[1, 2, 3]", "not iterable"),
+        ("[1, 2]", ""),
+        ('[1, "2", []]', ""),
+        ("nonsense", ""),
+        ('[1, 2, [[1, "zz", true, true]]]', ""),
+        ('[1, 2, [[536870912, "", true, true]]]', "identifier 536870912"),
+        ("[true, 2, []]", ""),
+        ("[" * 5_000, ""),
     ],
 )
 def test_a_line_that_is_no_step_is_refused_by_its_number(

@@ -108,45 +108,6 @@ def test_one_gear_learned_says_nothing_of_the_others(sheet: GearboxSheet, gear: 
                 references.phase_rad(other, 0.0, 0.0)
 
 
-def float_about(
-    references: PhaseReferences, box: Gearbox, gear: MainGear, low: float, high: float
-) -> None:
-    """The gear in mesh with next to no torque: its tooth swings between two places of its gap,
-    shares of half a gap, for 0.3 s, and is never seen to lie still. Then it is taken out."""
-    references.locked(gear, 0.0, straight=False)
-    for measurement in range(32):
-        swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * measurement)
-        at_ms = 7.0 + 0.6 * measurement
-        theta_ls = box.layshaft_at_phase(swing * HALF_GAP, at_ms, 3)
-        assert not references.watch(gear, theta_ls, at_ms)
-    references.released()
-
-
-def test_a_floating_tooth_tells_its_gap_by_both_flanks() -> None:
-    box, references = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
-    float_about(references, box, MainGear.SECOND, -1.0, 1.0)
-    seen = wrap_to_pitch(references.phase_rad(MainGear.SECOND, 11.0, 5.0), PITCH)
-    assert abs(math.remainder(seen - box.phase(11.0, 5.0), PITCH)) < 0.2 * HALF_GAP
-
-
-def test_both_flanks_may_be_seen_in_different_engagements() -> None:
-    gear = MainGear.SECOND
-    box, references = Gearbox(*TEETH[gear], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
-    float_about(references, box, gear, -1.0, 0.2)
-    assert not references.known(gear)
-    float_about(references, box, gear, 0.0, 1.0)
-    seen = wrap_to_pitch(references.phase_rad(gear, 11.0, 5.0), PITCH)
-    assert abs(math.remainder(seen - box.phase(11.0, 5.0), PITCH)) < 0.2 * HALF_GAP
-
-
-def test_a_tooth_seen_farther_apart_than_its_gap_is_wide_tells_nothing() -> None:
-    gear = MainGear.SECOND
-    box, references = Gearbox(*TEETH[gear], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
-    float_about(references, box, gear, -1.0, 0.2)
-    float_about(references, box, gear, 0.5, 1.6)
-    assert not references.known(gear)
-
-
 def test_lost_counts_lose_every_reference(sheet: GearboxSheet) -> None:
     references = PhaseReferences(sheet)
     for gear in MAIN_GEARS:
@@ -156,22 +117,6 @@ def test_lost_counts_lose_every_reference(sheet: GearboxSheet) -> None:
     assert references.mask == 0
     with pytest.raises(KeyError):
         references.phase_rad(MainGear.SECOND, 0.0, 0.0)
-
-
-def test_a_gear_that_turns_back_in_its_gap_lies_on_the_other_flank(sheet: GearboxSheet) -> None:
-    """Drag carries a tooth that has met one flank across the gap to the other: the move reports on
-    which it lies, whatever the slip at contact was."""
-    references = PhaseReferences(sheet)
-    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
-    references.locked(MainGear.SECOND, 0.5)
-    for share in (1.0, 0.6, 0.0, -0.7):
-        at = box.layshaft_at_phase(share * HALF_GAP, 5.0, 3)
-        assert not references.watch(MainGear.SECOND, at, 5.0)
-    while not references.watch(MainGear.SECOND, box.layshaft_at_phase(-HALF_GAP, 5.0, 3), 5.0):
-        pass
-    error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
-    # The last measurement on the way is one of the five that were still enough.
-    assert abs(math.remainder(error, PITCH)) < 0.1 * HALF_GAP
 
 
 def watched(box: Gearbox, shares: list[float], slip: float, pulled: bool) -> PhaseReferences:
@@ -197,20 +142,6 @@ def test_one_look_gone_astray_by_an_impact_moves_no_tooth() -> None:
     assert not watched(box, astray, -1.0, pulled=False).known(MainGear.SECOND)
 
 
-def test_drag_holds_a_tooth_at_the_lower_flank_where_teeth_are_known_to_move() -> None:
-    """In a gearbox whose teeth have not been seen to move, drag says nothing."""
-    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
-    still = [-1.0] * 8
-    assert not watched(box, still, 0.0, pulled=True).known(MainGear.SECOND)
-    references = watched(box, [1.0] * 4 + [0.0] + [-1.0] * 8, 0.0, pulled=False)
-    references.lose_all()
-    references.locked(MainGear.SECOND, 0.0)
-    at = box.layshaft_at_phase(-HALF_GAP, 9.0, 3)
-    assert any(references.watch(MainGear.SECOND, at, 9.0, pulled=True) for _ in range(8))
-    error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
-    assert abs(math.remainder(error, PITCH)) < 1e-8
-
-
 @pytest.mark.parametrize("end", ["released", "lose_all"])
 def test_a_gear_that_leaves_the_mesh_while_watched_is_not_learned(
     sheet: GearboxSheet, end: str
@@ -221,15 +152,6 @@ def test_a_gear_that_leaves_the_mesh_while_watched_is_not_learned(
     getattr(references, end)()
     assert not any(references.watch(MainGear.SECOND, 1.0, 1.0) for _ in range(20))
     assert references.mask == 0
-
-
-def test_a_gear_locked_without_slip_lies_on_a_flank_nobody_knows(sheet: GearboxSheet) -> None:
-    """Below 2 rpm the sign of the slip is noise: a guess would be half a gap wrong."""
-    references = PhaseReferences(sheet)
-    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
-    assert not lock(references, box, MainGear.SECOND, 0.1, 0.0)
-    assert not lock(references, box, MainGear.SECOND, -0.1, 0.0)
-    assert not references.known(MainGear.SECOND)
 
 
 def test_noise_of_the_angles_averages_out(sheet: GearboxSheet) -> None:

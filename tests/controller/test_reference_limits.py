@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from meshpoint.controller.phase.reference import PhaseReferences
@@ -72,10 +74,13 @@ def test_a_tooth_that_was_seen_on_both_sides_lies_nowhere() -> None:
     assert measurement(locked(), *[0.9] * 3, *[-0.19] * 3, *[0.0] * 30) == 11
 
 
-@pytest.mark.parametrize(("slip", "flank"), [(1.0, 1), (-1.0, -1), (0.1, 0)])
+@pytest.mark.parametrize(
+    ("slip", "flank"), [(1.0, 1), (-1.0, -1), (0.21, 1), (-0.21, -1), (0.19, 0), (-0.19, 0)]
+)
 def test_a_tooth_that_has_not_moved_for_twenty_looks_lies_where_slip_carried_it(
     slip: float, flank: int
 ) -> None:
+    """From 2 rpm on."""
     references = locked(slip)
     assert measurement(references, *[0.3] * 30) == (20 if flank else None)
     if flank:
@@ -156,6 +161,29 @@ def test_a_tooth_that_floated_through_about_a_gap_tells_its_middle(
     if known:
         assert offset(references) == pytest.approx(0.3 + span / 2.0)
         assert references.source(GEAR) is ReferenceSource.MEASURED
+
+
+def test_what_floated_is_reported_once_as_the_places_it_was_seen_at() -> None:
+    """Of three looks in a row at least: an impact disturbs single ones."""
+    for together, floated in ((3, (-0.2, 0.25)), (2, None)):
+        references = locked(straight=False)
+        for _ in range(5):
+            measurement(references, *[-0.2] * together, *[0.25] * together)
+        found = references.released()
+        assert (found is None) is (floated is None)
+        if found is not None and floated is not None:
+            assert found.gear is GEAR
+            assert found.high_rad - found.low_rad == pytest.approx(0.45 * GAP)
+        assert references.released() is None
+
+
+def test_a_gear_is_looked_at_for_a_while_and_no_longer() -> None:
+    references, looks = locked(), 0
+    assert not references.watches(OTHER)
+    while references.watches(GEAR):
+        measurement(references, 0.15 * math.sin(looks))
+        looks += 1
+    assert looks == 60
 
 
 def test_places_too_far_apart_are_all_forgotten() -> None:

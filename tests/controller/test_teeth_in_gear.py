@@ -115,6 +115,6 @@ def test_teeth_are_known_after_the_first_shifts_of_a_gearbox_with_a_sensor_of_20
     assert loop.as_built["hall"]["jitter_us"] > 19.0
     loop.shift()
     loop.shift()
-    teeth = loop._controller.observer.layshaft.teeth
+    teeth = loop.controller.observer.layshaft.teeth
     assert teeth.learned
     assert math.degrees(teeth.sd_rad) < 0.07

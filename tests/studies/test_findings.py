@@ -11,11 +11,8 @@ from hypothesis import given as drawn
 from hypothesis import strategies as st
 
 from benchmarks.studies import prediction
-from benchmarks.studies.commission_run import Box as Commissioned
-from benchmarks.studies.counterfactual_run import Compared as Landing
 from benchmarks.studies.excitation import BrakePoint, Figures, figures, matched
 from benchmarks.studies.hardware import Bought, certainty
-from benchmarks.studies.identify_run import Gearbox, Reported
 from benchmarks.studies.jobs import ShiftErrors
 from benchmarks.studies.record import Finding, Given, Statement, ThesisVerdict
 from benchmarks.studies.registry import load
@@ -153,48 +150,6 @@ def test_one_statement_that_differs_makes_the_study_differ(
     assert Finding(statements, {}).verdict.value == overall
 
 
-@pytest.mark.parametrize(("outside", "agrees"), [(0, False), (1, True), (2, True), (3, False)])
-def test_landings_agree_where_nine_to_ten_of_ten_intervals_hold_the_truth(
-    outside: int, agrees: bool
-) -> None:
-    """Intervals that are too wide are as wrong as those that are too narrow; shifts of which no
-    landing is reported are counted and take no part."""
-    start = given("counterfactual")
-    start = replace(start, own=replace(start.own, shifts=21, shifts_of_one=21))
-    (job,) = load("counterfactual").jobs(start)
-    reported = [Landing("", False, 2.0 if k < outside else 0.5, 1.0, 0.5, True) for k in range(20)]
-    nan = float("nan")
-    untold = Landing("known to within 3.1 deg only", False, nan, nan, nan, False)
-    finding = load("counterfactual").conclude(replace(start, results={job: [*reported, untold]}))
-    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
-    assert finding.figures["reported"] == 20
-    assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
-    assert finding.figures["not_reported"] == {"known to within n deg only": 1}
-
-
-@pytest.mark.parametrize(("outside", "agrees"), [(0, True), (2, True), (3, False)])
-def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_built(
-    outside: int, agrees: bool
-) -> None:
-    """What a log does not tell is counted as not reported, not as right."""
-    start = given("identify")
-    start = replace(start, own=replace(start.own, gearboxes=1))
-    (job,) = load("identify").jobs(start)
-    nan = float("nan")
-    reported = [
-        Reported("drag", "Nm", 6.0, 5.0, 7.0, 8.0, 7.5 if k < outside else 6.5) for k in range(20)
-    ]
-    box = Gearbox(
-        (*reported, Reported("drag", "Nm", None, nan, nan, 8.0, 6.5)), (("main", 90, 81),), ()
-    )
-    finding = load("identify").conclude(replace(start, results={job: box}))
-    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
-    assert finding.figures["reported"] == 20
-    assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
-    assert finding.figures["by_figure"]["drag"]["half interval"] == pytest.approx(1.0)
-    assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}
-
-
 @pytest.mark.parametrize(
     "name",
     ["commission", "counterfactual", "delay", "hardware"],
@@ -211,27 +166,3 @@ def test_gearboxes_of_the_truck_are_drawn_around_a_truck_s_sheet(name: str) -> N
     assert SHEET.clutch.kiss_share < 0.3
     for job in load(name).jobs(given(name)):
         assert job.sheet.clutch.kiss_share == pytest.approx(0.35)
-
-
-@pytest.mark.parametrize(
-    ("gaps", "said", "agrees"),
-    [
-        ((True,) * 5, (), True),
-        ((True,) * 4 + (False,), (), False),
-        ((True,) * 5, ("main sensor turned: exchanged",), False),
-    ],
-)
-def test_commissioning_agrees_where_all_is_named_and_contacts_are_as_with_the_true_sheet(
-    gaps: tuple[bool, ...], said: tuple[str, ...], agrees: bool
-) -> None:
-    start = given("commission")
-    start = replace(start, own=replace(start.own, gearboxes=2))
-    sound, wrong = load("commission").jobs(start)
-    results = {
-        sound: Commissioned("as named", False, not said, said, 12, 0, (True,) * 5, gaps, 1.0),
-        wrong: Commissioned("not connected: brake", True, True, ("brake",), 0, 0, (), (), 1.0),
-    }
-    finding = load("commission").conclude(replace(start, results=results))
-    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
-    assert finding.figures["named"] == finding.figures["miswired"] == 1
-    assert finding.figures["difference"][0] == pytest.approx(sum(gaps) / 5 - 1.0)

@@ -7,16 +7,15 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import pytest
 
-from benchmarks.swarm.aimed import AIMS, Aim, mad_world
+from benchmarks.swarm.aimed import AIMS, Aim
 from benchmarks.swarm.command import main
 from benchmarks.swarm.deeds import DEEDS
-from benchmarks.swarm.draw import TIGHT, draw_world
-from benchmarks.swarm.episode import Episode, EpisodeResult, declared, settings_with
+from benchmarks.swarm.draw import draw_world
+from benchmarks.swarm.episode import Episode, EpisodeResult, declared
 from benchmarks.swarm.events import (
     FAULT_KINDS,
     REQUEST,
@@ -25,18 +24,12 @@ from benchmarks.swarm.events import (
     load_world,
     save_world,
 )
-from benchmarks.swarm.invariants import Broken, Invariants
-from benchmarks.swarm.nodes import WatchedRig
 from benchmarks.swarm.shrink import shrink
-from benchmarks.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
+from benchmarks.swarm.swarm import SwarmSpec, breaks
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.dbc.messages import EngagementEvent, MainGear, ReferenceEngagement
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.rig_sim.shared.engagement import Violation
-from meshpoint.testbench.errors import CommandError
-from meshpoint.units import RPM
 
 SHEET, SETTINGS = load_sheet("truck12"), ControllerSettings()
 SPEC = SwarmSpec(SHEET, SETTINGS, 1)
@@ -80,22 +73,6 @@ def test_every_row_of_the_guard_has_a_deed() -> None:
 def test_all_that_can_be_drawn_is_drawn() -> None:
     drawn = Counter(event.kind for seed in range(1_500) for event in draw_world(seed).events)
     assert set(FAULT_KINDS) | {REQUEST} == set(drawn)
-
-
-def test_settings_at_their_edge_are_settings() -> None:
-    for name, value in TIGHT:
-        group, key = name.split(".")
-        assert getattr(getattr(settings_with(SETTINGS, {name: value}), group), key) == value
-
-
-def test_the_gearboxes_of_a_swarm_are_drawn_from_its_profile() -> None:
-    """As those of everybody who names none; another profile is another swarm."""
-    assert SPEC.provenance["profile"] == "typical"
-    clean = replace(SPEC, profile=Profile.CLEAN)
-    assert clean.provenance["profile"] == "clean"
-    assert clean.sha256 != SPEC.sha256 != replace(SPEC, as_built={"air.leak": 0.0}).sha256
-    world = draw_world(7)
-    assert clean.run(world) != SPEC.run(world)
 
 
 def test_a_seed_is_a_world_is_a_trajectory() -> None:
@@ -149,21 +126,6 @@ def test_an_aimed_world_reaches_what_it_aims_at_whatever_the_gearbox(aim: Aim) -
         assert reached.transitions[aim.reaches] + reached.fault_codes[aim.reaches] > 0
 
 
-def test_a_swarm_begins_with_the_aimed_worlds_and_goes_on_with_drawn_ones() -> None:
-    everything = {name for kind in ("fault_codes", "transitions") for name in declared()[kind]}
-    assert {aim.reaches for aim in AIMS} <= everything
-    base = 7_000_000
-    assert [world_of(base + k) for k in range(len(AIMS))] == [
-        aim.world(base + k) for k, aim in enumerate(AIMS)
-    ]
-    deeds = range(base + len(AIMS), base + len(AIMS) + len(DEEDS))
-    assert [world_of(seed) for seed in deeds] == [
-        mad_world(seed, name) for seed, name in zip(deeds, DEEDS, strict=True)
-    ]
-    assert all(any(e.kind in DEEDS for e in world_of(seed).events) for seed in deeds)
-    assert world_of(deeds.stop) == draw_world(deeds.stop)
-
-
 @pytest.mark.long
 def test_a_controller_that_starts_while_old_frames_fill_the_bus_is_no_violation() -> None:
     """What waited while the gearbox's node hung comes at once; nobody can tell its age."""
@@ -174,29 +136,6 @@ def test_a_controller_that_starts_while_old_frames_fill_the_bus_is_no_violation(
         Event(3_600, "controller_restarted"),
     )
     assert run(World(1_000_151, 5, 913.0, {}, events, 3_800)).broken == []
-
-
-@pytest.mark.parametrize(
-    ("error_us", "is_broken"),
-    [(-20_000, False), (-20_001, True), (60_000, False), (60_001, True)],
-)
-def test_a_guard_whose_inputs_are_valid_has_the_clock_of_the_sensors(
-    error_us: int, is_broken: bool
-) -> None:
-    """A clock that is as wrong with inputs that are not valid lets no valve be driven."""
-    broken: list[Broken] = []
-    invariants = Invariants(SHEET, broken)
-    rig = SimpleNamespace(
-        truth=SimpleNamespace(violations={}, speeds_rad_s=(0.0,) * 4),
-        energised=(), is_stalled=False, is_moved_by_the_bench=False, sensor_us=7_000,
-    )  # fmt: skip
-    invariants.rig(cast(WatchedRig, rig), 1_000_000, frozenset())
-    for valid, active in ((False, frozenset()), (True, frozenset({"clock_step"}))):
-        seen = SimpleNamespace(now_us=12_000 + error_us, valid=valid)
-        invariants._time(seen, 1_005_000, active)
-        assert broken == []
-    invariants._time(SimpleNamespace(now_us=12_000 + error_us, valid=True), 1_005_000, frozenset())
-    assert bool(broken) is is_broken
 
 
 FOUND: Final = {
@@ -294,41 +233,6 @@ def test_a_clock_fault_that_a_hanging_controller_has_not_heard_of_shows_when_it_
     assert run(World(2_000_067, gear, layshaft_rpm, {}, events, safety_ms)).broken == []
 
 
-def test_a_brake_that_was_on_when_the_bench_pushes_a_gear_in_is_the_bench_s_own() -> None:
-    """Not so without the bench."""
-    broken: list[Broken] = []
-    invariants = Invariants(SHEET, broken)
-    rig = SimpleNamespace(
-        truth=SimpleNamespace(violations={Violation.BRAKE_IN_GEAR: 0}, speeds_rad_s=(0.0,) * 4),
-        energised=(), is_stalled=False, is_moved_by_the_bench=True, sensor_us=0,
-    )  # fmt: skip
-    for now_us, count, moved, is_broken in (
-        (1_000_000, 1, True, False),
-        (1_030_000, 2, False, False),
-        (1_030_001, 3, False, True),
-    ):
-        rig.truth.violations, rig.is_moved_by_the_bench = {Violation.BRAKE_IN_GEAR: count}, moved
-        invariants.rig(cast(WatchedRig, rig), now_us, frozenset())
-        assert bool(broken) is is_broken
-
-
-@pytest.mark.parametrize(
-    ("slip_rpm", "is_broken"), [(-69.5, False), (-69.6, True), (129.5, False), (129.6, True)]
-)
-def test_a_sleeve_meets_its_gear_in_the_guards_window(slip_rpm: float, is_broken: bool) -> None:
-    """A sequence gone mad is no excuse; a fault elsewhere and the bench's own hand are."""
-    event = ReferenceEngagement(
-        event=EngagementEvent.TOOTH_CONTACT, gear=MainGear.SECOND, slip_rad_s=slip_rpm * RPM
-    )
-    broken: list[Broken] = []
-    invariants = Invariants(SHEET, broken)
-    invariants.contact(event._replace(event=EngagementEvent.LOCKED), 1_000_000, frozenset())
-    invariants.contact(event, 1_000_000, frozenset({"mad_slip", "bus_drop"}))
-    assert broken == []
-    invariants.contact(event, 1_000_000, frozenset({"mad_slip"}))
-    assert [each.what for each in broken] == ["slip_at_contact"] * is_broken
-
-
 def test_a_sleeve_is_seen_to_meet_its_gear_out_of_the_window(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -342,66 +246,3 @@ def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> No
     (broken,) = run(World(6, events=(), safety_ms=500)).broken
     assert broken.what == "crash"
     assert "ZeroDivisionError" in broken.text
-
-
-def test_shrinking_finds_the_two_events_that_matter() -> None:
-    events = tuple(Event(100 * k, "bus_drop", 0, 0.5, k) for k in range(40))
-    needed = {events[7], events[23]}
-    tried: list[int] = []
-
-    def fails(world: World) -> Broken | None:
-        tried.append(len(world.events))
-        return Broken("crash", 2_400, "") if needed <= set(world.events) else None
-
-    small = shrink(World(1, events=events), Broken("crash", 2_400, ""), fails)
-    assert set(small.events) == needed
-    assert small.safety_ms == 2_600
-    assert len(tried) < 60
-
-
-def test_shrinking_keeps_to_its_budget() -> None:
-    events = tuple(Event(k, "bus_drop") for k in range(40))
-    fails: Any = lambda world: Broken("crash", 100, "")  # noqa: E731
-    small = shrink(World(1, events=events), Broken("crash", 100, ""), fails, budget_s=0.0)
-    assert small.events == events
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"seed": -1}, "seed"),
-        ({"start_gear": 15}, "start_gear"),
-        ({"events": [{"at_ms": 0, "kind": "magic"}]}, "magic"),
-        ({"events": [Event(0, "valve_stuck", 9)._asdict()]}, "target"),
-        ({"safety_ms": float("nan")}, "safety_ms"),
-        ({"events": 5}, "events"),
-        ({"events": [Event(0, "valve_stuck", 1)._asdict() | {"state": "asleep"}]}, "asleep"),
-    ],
-)
-def test_a_bad_scenario_is_refused_by_name(
-    change: dict[str, Any], said: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "bad.json"
-    path.write_text(json.dumps({"scenario": World(1).to_json() | change}))
-    with pytest.raises(CommandError, match=r"bad\.json") as refused:
-        load_world(path)
-    assert said in str(refused.value) or said == "events"
-
-
-@pytest.mark.long
-def test_a_swarm_is_gone_on_with(tmp_path: Path) -> None:
-    """The second run simulates only what is missing, and counts both."""
-    report = tmp_path / "report.json"
-    base = ["--jobs", "1", "--seed", "4", "--json", str(report)]
-    assert main([*base, "--hours", "0.001", "--out", str(tmp_path / "parts")]) == 0
-    first = json.loads(report.read_text())
-    assert first["worlds"] == 1
-    again = [*base, "--hours", "0.003", "--out", str(tmp_path / "parts"), "--resume"]
-    assert main(again) == 0
-    both = json.loads(report.read_text())
-    assert both["simulated_hours"] > first["simulated_hours"]
-    assert both["violations"] == 0
-    alone = run_seed(SPEC, 4_000_000)[0]
-    assert both["faults_reached"]["declared"] == len(FAULT_KINDS)
-    assert both["shifts"] >= first["shifts"] == alone.shifts
-    assert main([*base, "--hours", "0.001", "--out", str(tmp_path / "parts")]) == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import subprocess
@@ -19,43 +18,8 @@ from meshpoint.kernel_cache import KernelCache, digest_of, keep_compiled
 from meshpoint.kernel_folder import KernelFolder
 from meshpoint.kernel_pieces import piece_of_kernels
 from meshpoint.kernel_watch import CacheWatch
-from meshpoint.testbench.loop import compiled_mark, compiling
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
-KERNELS = {
-    "controller": "from meshpoint.bus.light_can import load_can\nload_can()\n"
-    "from meshpoint.controller.sensing.chain_kernels import newest_teeth\n"
-    "import numpy as np\n"
-    "print(newest_teeth(np.zeros(4, np.int64), 1))",
-    "rig_sim": "from meshpoint.rig_sim.shared.angle_kernels import wrapped\n"
-    "print(wrapped(0.75, 1.0))",
-}
-
-
-def run(script: str, cache: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", script],
-        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("package", ["rig_sim", "controller"])
-def test_a_damaged_cache_is_said_and_made_again(package: str, tmp_path: Path) -> None:
-    first = run(KERNELS[package], tmp_path)
-    assert first.returncode == 0, first.stderr
-    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert kept
-    for path in kept:
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    second, third = run(KERNELS[package], tmp_path), run(KERNELS[package], tmp_path)
-    assert second.returncode == third.returncode == 0, second.stderr
-    assert first.stdout == second.stdout == third.stdout
-    assert "damaged" in second.stderr and len(second.stderr.splitlines()) == 1
-    assert third.stderr == ""
 
 
 @pytest.fixture
@@ -78,28 +42,6 @@ def doubled(*places: Path, factor: float = 2.0) -> Any:
 
 def hits(kernel: Any) -> int:
     return sum(kernel.stats.cache_hits.values())
-
-
-def test_all_kernels_share_one_line_on_where_they_are_kept(tmp_path: Path, said: list[str]) -> None:
-    cache, other = tmp_path / "cache", tmp_path / "other"
-    cache.write_text("not a folder")
-    for factor in (2.0, 3.0):
-        doubled(cache / "kernels", other, factor=factor)(1.0)
-    assert len(list(other.iterdir())) == 2
-    [line] = said
-    assert str(other) in line and str(cache) in line and ".nbc" not in line
-
-
-def test_what_the_rigs_side_says_while_it_compiles_is_said_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    lines: list[str] = []
-    watch = CacheWatch()
-    watch.say = lines.append
-    monkeypatch.setattr(compiling, "WATCH", watch)
-    progress = compiling.Progress(io.StringIO())
-    compiling._follow(iter(["rig_sim\n", "! kept there\n", "! kept there\n"]), progress)
-    assert lines == ["kept there"] and progress.compiled == 1
 
 
 def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path, said: list[str]) -> None:
@@ -292,33 +234,3 @@ def test_the_digest_is_the_same_in_every_process() -> None:
         for text, seed in ((script, "1"), (before + script, "2"))
     ]  # fmt: skip
     assert seen[0] == seen[1] and len(seen[0]) == 2 * 65
-
-
-def test_the_rigs_kernels_are_looked_for_once_and_again_when_its_source_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process of its own to find them all on disk took each command more than a second."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    asked: list[bool] = []
-
-    def both_sides(_progress: object, thesis: bool, _baselines: bool) -> int:
-        asked.append(thesis)
-        return 0
-
-    monkeypatch.setattr(compiling, "_both_sides", both_sides)
-    monkeypatch.setattr(compiling, "_warm_up", lambda *_given: None)
-    for thesis in (False, False, True, True):
-        compiling.prepare(thesis)
-    assert asked == [False, True]
-    monkeypatch.setattr(compiled_mark, "_digest", lambda _package: "another source")
-    compiling.prepare(False)
-    assert asked == [False, True, False]
-
-
-def test_kernels_that_could_not_be_compiled_leave_no_mark(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiling, "_both_sides", lambda *_given: 1)
-    compiling.prepare()
-    assert list(tmp_path.iterdir()) == []

@@ -218,38 +218,9 @@ def test_a_file_that_is_not_there_is_named(
     ("old", "new", "reported"),
     [
         ("return None", "return 1 / 0", ":11: ZeroDivisionError: division by zero"),
-        pytest.param(
-            "return None",
-            "return float('nan')",
-            ":9: contact() is nan, allowed is a time from",
-            marks=pytest.mark.long,
-        ),
-        pytest.param("return None", "return now_us", ":9: contact() is", marks=pytest.mark.long),
         ("return None", "return 'soon'", ":9: contact() is 'soon'"),
-        pytest.param(
-            "return None", "return now_us + 10**9", ":9: contact() is", marks=pytest.mark.long
-        ),
-        pytest.param(
-            "return None",
-            "predictor.phase_and_slip(now_us)",
-            ":11: KeyError",
-            marks=pytest.mark.long,
-        ),
         ("return None", "raise SystemExit", ":11: SystemExit"),
-        pytest.param(
-            "now_us, earliest_us):\n        if",
-            "now_us):\n        if",
-            ":9: TypeError",
-            marks=pytest.mark.long,
-        ),
         ("return earliest_us, earliest", "return earliest", ":7: release() returned"),
-        pytest.param(
-            "return earliest_us, earliest_us + 100_000",
-            "return earliest_us, None",
-            ":7: release()",
-            marks=pytest.mark.long,
-        ),
-        ("return earliest_us, earliest_us + 100_000", "return 0, 0", ":7: release() release_us is"),
     ],
 )
 def test_a_mistake_in_mid_shift_is_named_by_file_and_line(

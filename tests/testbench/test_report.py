@@ -33,22 +33,6 @@ PITCH_DEG = 7.5
 HOSTILE = "</script><script>alert('no')</script><img src=x onerror=alert(1)>.log"
 PLOTLY_STUB = "window.Plotly = {};"
 SIZE_LIMIT = 8_000_000
-COUNT_READ = """<script>
-const parse = JSON.parse;
-const read = [];
-JSON.parse = (text) => { read.push(text); return parse(text); };
-</script>"""
-TELL_READ = """<script>
-addEventListener("load", () => {
-  const before = read.length;
-  document.querySelector("#shift-1-150 a").click();
-  const reported = [before, read.length, document.getElementById("title").textContent];
-  const place = document.createElement("pre");
-  place.id = "read-back";
-  place.textContent = reported.join("|");
-  document.body.append(place);
-});
-</script>"""
 
 
 @pytest.fixture(scope="module")
@@ -276,28 +260,3 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert "target_phase, shift 4: gear 10 to 12, tooth met gap" in drawn
     assert drawn.count("main-svg") >= 3
     assert 'id="shift-1-4" class="chosen"' in drawn
-
-
-@pytest.mark.device
-@pytest.mark.long
-def test_of_two_hundred_shifts_the_page_reads_the_one_that_it_draws(
-    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any], tmp_path: Path
-) -> None:
-    """The page's data is read once at its opening with the first shift, then shift by shift."""
-    offline = pytest.importorskip("plotly.offline")
-    report, figures = simulated[0], list(data["shifts"].values())
-    runs = [replace(run, shifts=run.shifts * 50) for run in report.runs]
-    shifts = {
-        f"shift-1-{n}": figures[(n - 1) % len(figures)] | {"title": f"number {n}"}
-        for n in range(1, 201)
-    }
-    text = page(replace(report, runs=runs), data | {"shifts": shifts}, offline.get_plotlyjs())
-    path = tmp_path / "report.html"
-    text = text.replace("<head>", f"<head>{COUNT_READ}", 1).replace(
-        "</body>", f"{TELL_READ}</body>"
-    )
-    path.write_text(text, encoding="utf-8")
-    shown, complaints = browse(path.as_uri(), tmp_path)
-    assert complaints == []
-    (reported,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
-    assert reported == "2|3|number 150"

@@ -96,17 +96,18 @@ class ClosedLoop:
         self._settings = settings
         self._made = 0
         believed, calibration = known or (sheet, None)
-        self._controller = ControllerCore(
+        self.controller = ControllerCore(
             new_header(product_version(), believed, settings, calibration)
         )
+        """The controller itself, to be looked at."""
         self._bench = BenchCore(drawn.plan, short_pauses(sheet, drawn.profile))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         if log is None and wire is WireProfile.FD:
-            self._controller.leave_unread(UNREAD)
+            self.controller.leave_unread(UNREAD)
             self._rig.leave_unread(UNREAD)
         self._driver = virtual_bench(
             setup,
-            self._controller,
+            self.controller,
             self._rig,
             self._bench,
             Onlooker(self._scorer, SCORED_IDS, NO_STEP_US),
@@ -140,7 +141,7 @@ class ClosedLoop:
     @property
     def strategy_errors(self) -> Counter[str]:
         """What was wrong with a user's own strategy, and how many shifts ended of it."""
-        return Counter(self._controller.strategy_errors)
+        return Counter(self.controller.strategy_errors)
 
     def prepare(self) -> None:
         """Up to the request for the next shift, which no strategy has a say in."""
@@ -181,6 +182,6 @@ class ClosedLoop:
 
     def use(self, settings: ControllerSettings, knows_all: bool) -> None:
         """Other engagement settings from here on; `knows_all`: by the rig's truth."""
-        self._controller.change_settings(settings)
+        self.controller.change_settings(settings)
         if knows_all:
-            self._controller.take_predictor_from(TrueState(self._sheet, self._rig.truth))
+            self.controller.take_predictor_from(TrueState(self._sheet, self._rig.truth))
