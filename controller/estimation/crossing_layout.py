@@ -50,9 +50,11 @@ class Filter:
     """How fast `noise scale` follows the innovations, a share an edge; 0: the model's noise
     holds."""
     edge_time_s: float
+    """Standard deviation of an edge's time."""
     tooth_rad: float
+    """Standard deviation of an edge's angle."""
     pressure_sd_pa: float
-    """sd of an edge's time, of its angle, of the measured pressure."""
+    """Standard deviation of the measured pressure."""
     gate_sd: float
     """An edge is refused if its innovation exceeds this many standard deviations."""
     model: Model

@@ -57,16 +57,16 @@ MOST_OFF: Final = 4.0
 NIS_KEPT: Final = 0.9
 """Weight of the mean normalised innovation squared so far, against a new one."""
 LOST: Final = 9.0
-"""A cloud whose mean normalised innovation squared is above this has lost the driveline: it begins
-anew"""
+"""A cloud whose mean normalised innovation squared is above this has lost the driveline, and begins
+anew."""
 RECENT: Final = 4
-"""from a line through this many measurements."""
+"""A cloud that begins anew takes angle and speed from a line through this many measurements."""
 FIRST_OMEGA: Final = 2.0
-"""Standard deviation (rad/s) of the speed when a gear comes out;"""
+"""Standard deviation of the shaft's speed when a gear comes out (rad/s)."""
 FIRST_DRAG: Final = 0.5
-"""of the drag's acceleration (rad/s2) in one driveline,"""
+"""Standard deviation of the drag's acceleration in one driveline, at the start (rad/s2)."""
 DRAG_CHANGE: Final = 4.0
-"""and density of its change (rad2/s5)."""
+"""Density of the change of the drag's acceleration in one driveline (rad2/s5)."""
 
 
 class LashCloud:

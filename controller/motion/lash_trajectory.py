@@ -22,9 +22,9 @@ TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
 PLACES: Final[Vector] = np.arange(float(STEPS))
 _TIMES: Final[list[float]] = TIMES.tolist()
 MOST_TICKS: Final = 8
-"""What will be known is worked out for this many ticks,"""
+"""What will be known is worked out for at most so many ticks."""
 COMPARED: Final = 60
-"""by this many of the drivelines."""
+"""What will be known is worked out by so many of the drivelines."""
 LEAST_SD_RAD: Final = math.radians(0.1)
 """An angle ahead is never known better: teeth and bearings."""
 MOST_SURE: Final = 0.9999
@@ -36,9 +36,9 @@ class Chance(NamedTuple):
     """Accelerations of chance that last for a while (Ornstein-Uhlenbeck)."""
 
     rad2_s3: float
-    """Their density at low frequencies, 2 sigma^2 tau,"""
+    """Their density at low frequencies, 2 sigma^2 tau."""
     memory_s: float
-    """and tau."""
+    """Their memory tau."""
 
     def theta_rad2(self, wait_s: Vector) -> Vector:
         """Variance of an angle after some time:
@@ -82,9 +82,9 @@ class LashTrajectory:
         self._nis = nis
         self._widest_rad = float(np.ptp(self._angle))
         self._merged = np.full((3, STEPS), np.nan)
-        """Angle, speed and standard deviation at each step, where that was asked for; and"""
+        """Angle, speed and standard deviation at each step where that was asked for."""
         self._is_merged = [False] * STEPS
-        """whether it was: few are, of a trajectory by which no sleeve is fired."""
+        """Whether `_merged` holds a step: few, of a trajectory by which no sleeve is fired."""
         self.since_s = 0.0
         """Now, on the trajectory's own time."""
         self._shapes: list[Vector] = []

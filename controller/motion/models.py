@@ -112,9 +112,9 @@ class Disturbance(NamedTuple):
     """The torques at the layshaft that its model leaves out."""
 
     torque_nm: float
-    """Their standard deviation,"""
+    """Their standard deviation."""
     memory_s: float
-    """and how long such a torque lasts."""
+    """How long such a torque lasts."""
 
     def density(self, inertia_kgm2: float) -> tuple[float, float]:
         """Rate at which its acceleration is forgotten, and density of the noise that drives it."""

@@ -75,7 +75,7 @@ class SwingStep:
     theta_by: Annotated[Vector, SWING_STATES]
     omega_by: Annotated[Vector, SWING_STATES]
     blocks: Annotated[Vector, MODES, 4]
-    """e (c + d s), e s, -w^2 e s, e (c - d s) of each mode."""
+    """Of each mode: `e (c + d s), e s, -w^2 e s, e (c - d s)`."""
     noise: Annotated[Vector, MODES, 3]
     """Variances that each mode's noise has added: of its angle, of both, of its speed."""
     work: Annotated[Vector, SWING_STATES, SWING_STATES]

@@ -29,17 +29,18 @@ with none it is too vague."""
 AT_FLANK: Final = 0.6
 ASTRAY: Final = 0.02
 INDEPENDENT: Final = 0.25
-"""Looks follow each other every 10 ms, sooner than a tooth moves on: this many of them tell
-something of their own."""
+"""Weight of one measurement: they follow each other every 10 ms, sooner than a tooth moves on, so
+that only one in four adds something of its own."""
 NEAR_SHARE: Final = 0.3
-"""Middles within this of the likeliest one, in backlashes, are the same;"""
+"""Middles within this of the likeliest one, in backlashes, are the same."""
 CERTAIN: Final = 0.97
-"""and known where this much of the probability lies there."""
+"""The middle is known where this much of the probability lies at the likeliest one."""
 BEYOND_SD: Final = 1.2
 """A measurement lies outside the gap when it is further from a flank than this, in its standard
-deviations,"""
+deviations."""
 MOST_OUTSIDE: Final = 0.1
-"""and where more of them do, the gap cannot be there. Of looks at a flank 12 % do by chance."""
+"""Where more than this share of the measurements lie outside, the gap cannot be there. Of
+measurements at a flank 12 % do by chance."""
 
 
 class GapMiddle(NamedTuple):

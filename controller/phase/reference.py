@@ -49,9 +49,10 @@ UNMOVED_MEASUREMENTS = 20
 PULLED_MEASUREMENTS = 6
 """Still looks under drag alone: longer than a tooth needs to reverse inside its gap."""
 FLOATED_MEASUREMENTS = 3
-"""Consecutive looks that together give one position of a floating tooth,"""
+"""So many consecutive measurements together give one position of a floating tooth."""
 FLOATED_SHARE = 0.2
-"""if they are within this distance, in backlashes: an impact disturbs single looks."""
+"""They do only if they lie within this distance, in backlashes: an impact disturbs single
+measurements."""
 LEAST_SPAN, MOST_SPAN = 0.8, 1.1
 """Range of a floating tooth's positions, in backlashes, from which the gap is determined: its
 middle is then wrong by a tenth of the backlash at most."""

@@ -32,9 +32,9 @@ class TurnSet(NamedTuple):
     """All N that are still possible; gears are those whose reference is remembered."""
 
     moduli: Mapping[MainGear, int]
-    """n of each gear."""
+    """The modulus n of each gear."""
     shared: Mapping[MainGear, int]
-    """c of each gear: `turns` determines its residue modulo c."""
+    """The modulus c of each gear: `turns` determines its residue modulo c."""
     turns: frozenset[int]
     """N modulo the lcm of `shared`, or N itself where it is bounded."""
     residues: Mapping[MainGear, frozenset[int]]

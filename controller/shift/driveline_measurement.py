@@ -45,7 +45,7 @@ class DrivelineMeasurement:
             self._open_sd,
         )
         self.learned = self.known
-        """The same after the ramp under way."""
+        """What is known of the driveline after the ramp under way."""
         self.pressed_nm = 0.0
         """About what the ramp under way leaves in the shafts, at the propeller shaft: above 0 at
         the flank of drive, below at that of coast; 0 where it could not be distinguished from

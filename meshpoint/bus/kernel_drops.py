@@ -14,7 +14,7 @@ from typing import Any, Final
 import can
 
 SO_RXQ_OVFL: Final = 40
-"""asm-generic/socket.h; Python's socket module has no name for it."""
+"""From Linux's `asm-generic/socket.h`; Python's socket module has no name for it."""
 _COUNT: Final = struct.Struct("=I")
 MODULUS: Final = 1 << 32
 

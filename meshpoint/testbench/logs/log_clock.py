@@ -317,8 +317,9 @@ class _Shift:
     def __init__(self, unpack: Unpack | None) -> None:
         self._reads = _Reads(unpack)
         self._logged_s: float | None = None
-        """Up to here the log is shifted, and this is when it was by the sensors' clock:"""
+        """Up to this time of the log it is shifted; None at its start."""
         self._shifted_s = 0.0
+        """That time by the sensors' clock."""
         self._held: list[Entry] = []
 
     def take(self, part: Part, time_s: float, frame: Frame) -> Iterator[Entry]:

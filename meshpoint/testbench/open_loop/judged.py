@@ -53,8 +53,8 @@ class Judged:
     """The one that acts: the fallback while the reference is unknown."""
     reference: str
     status: str
-    """fired; planned (a firing sent that could still be moved); waiting; refused; ended (it gave up
-    before it fired)."""
+    """One of `fired`; `planned` (a firing sent that could still be moved); `waiting`; `refused`;
+    `ended` (it gave up before it fired)."""
     fault: str
     last: Decision | None
     """Its last decision before the recorded sleeve met its gear."""

@@ -102,7 +102,7 @@ class Line(NamedTuple):
     of_request_ms: float | None
     """Milliseconds since the gear was asked for, by the sensor clock; None outside a shift."""
     who: str
-    """driver, controller, gearbox, truth, bus or bench."""
+    """One of driver, controller, gearbox, truth, bus or bench."""
     words: str
 
     def to_json(self) -> dict[str, object]:
