@@ -23,8 +23,8 @@ DROPPED: Final = 0.0
 """Backlash that is believed is dropped when its score falls to this: it is then no likelier than
 the linear swing."""
 LEAST_WINDOWS: Final = 3
-"""Backlash is not believed before so many windows: in the first ones the linear swing has little
-but its priors."""
+"""Least number of windows before backlash is believed: in the first ones the linear swing has
+little but its priors."""
 MOST_A_WINDOW: Final = 8.0
 """One window, in which a model lost the driveline, reports no more than this."""
 REJECTED: Final = -4.0

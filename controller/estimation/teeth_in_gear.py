@@ -37,7 +37,7 @@ TURNS: Final = 3
 LONGEST_GAP_US: Final = 60 * MS_IN_US
 """A shaft with a longer time from edge to edge is too slow, or not all of its edges came."""
 MOST_WINDOWS: Final = 6
-"""So many windows are taken in one stretch, while the teeth are not known well."""
+"""Windows that are taken in one stretch at most, while the teeth are not known well."""
 KNOWN_SD_RAD: Final = math.radians(0.03)
 """Of teeth known to this standard deviation one window a stretch is taken, with the figures as they
 are."""

@@ -32,8 +32,8 @@ PER_CENT: Final = 0.01
 TORQUE_NOISE: Final = 1.5 * PER_CENT
 """A step of the signal, and half a one for rounding."""
 ENGINE_MEASUREMENTS: Final = 6
-"""So many of the engine's newest speeds, 10 ms apart, give its acceleration: that of the last 50
-ms."""
+"""Number of the engine's newest speeds, 10 ms apart, that give its acceleration: that of the last
+50 ms."""
 ACCELERATION_NOISE_RAD_S2: Final = 3.0
 """Error of that acceleration (rad/s2): the combustion's ripple, and what changes within that
 time."""

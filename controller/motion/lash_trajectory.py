@@ -22,9 +22,9 @@ TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
 PLACES: Final[Vector] = np.arange(float(STEPS))
 _TIMES: Final[list[float]] = TIMES.tolist()
 MOST_TICKS: Final = 8
-"""What will be known is worked out for at most so many ticks."""
+"""What will be known is worked out for at most this number of ticks."""
 COMPARED: Final = 60
-"""What will be known is worked out by so many of the drivelines."""
+"""Number of drivelines by which it is worked out."""
 LEAST_SD_RAD: Final = math.radians(0.1)
 """An angle ahead is never known better: teeth and bearings."""
 MOST_SURE: Final = 0.9999

@@ -49,7 +49,7 @@ UNMOVED_MEASUREMENTS = 20
 PULLED_MEASUREMENTS = 6
 """Still looks under drag alone: longer than a tooth needs to reverse inside its gap."""
 FLOATED_MEASUREMENTS = 3
-"""So many consecutive measurements together give one position of a floating tooth."""
+"""Number of consecutive measurements that together give one position of a floating tooth."""
 FLOATED_SHARE = 0.2
 """They do only if they lie within this distance, in backlashes: an impact disturbs single
 measurements."""

@@ -21,9 +21,9 @@ LONGER_US: Final = 300
 SHORTER_US: Final = 1
 """After each step that had them all, they are awaited for so much less."""
 SOONER_AFTER: Final = 300
-"""After so many steps in a row that had them all, they are awaited for `SHORTER_US` less once more
-with each. So one step in some two hundred comes too soon, and a time in which frames came late is
-forgotten within seconds."""
+"""After this number of steps in a row that had them all, they are awaited for `SHORTER_US` less
+once more with each. So one step in some two hundred comes too soon, and a time in which frames came
+late is forgotten within seconds."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
 MOST_SHARE: Final = 0.8

@@ -57,7 +57,7 @@ LATER_SHARE: Final = 0.7
 """Releases are tried until so much after the unaimed one: with `EARLIER_SHARE` more than a
 pitch."""
 RELEASES: Final = 14
-"""So many releases are tried first, and then more closely around the best."""
+"""Number of releases that are tried first, before more around the best."""
 CLOSE_SHARE: Final = 5
 """The close steps are smaller than the first ones by this factor, or less (`CLOSE_OF_GAP`)."""
 CLOSE_OF_GAP: Final = 0.15
