@@ -229,8 +229,8 @@ class ControllerCore:
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
-        measurement = self._phase.take if self._is_tick(now_us) else self._phase.between
-        measurement(inputs, snapshot.now_us)
+        take = self._phase.take if self._is_tick(now_us) else self._phase.between
+        take(inputs, snapshot.now_us)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)

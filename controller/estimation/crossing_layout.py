@@ -47,7 +47,7 @@ class Filter:
 
     # Parameters.
     noise_adaptation: float
-    """How fast `noise scale` follows the innovations, a share an edge; 0: the model's noise
+    """How fast `noise_scale` follows the innovations, a share an edge; 0: the model's noise
     holds."""
     edge_time_s: float
     """Standard deviation of an edge's time."""

@@ -56,7 +56,7 @@ LEAST_DRAG: Final = 0.5
 """Drag is never less (rad/s2): it always slows a shaft down."""
 SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
 """What one window says of stiffness, loss, backlash and drag counts as no surer than this, in
-their logarithms: a shaft that met no flank reports little, and its cloud does not know how
+their logarithms: a shaft that met no flank shows little, and its cloud does not know how
 little."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
@@ -228,12 +228,12 @@ class Lash:
     def _tyre_per_s2(self) -> float:
         return self.axle.tyre_nm_rad / self.axle.wheels_kgm2
 
-    def learn(self, reported: Callable[[int], tuple[float, float]]) -> None:
+    def learn(self, shown: Callable[[int], tuple[float, float]]) -> None:
         """Takes over what a window has shown: mean and standard deviation of the logarithm of a row
         of its cloud."""
         learned: list[float] = []
         for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
-            log, sd = reported(row)
+            log, sd = shown(row)
             if not (math.isfinite(log) and math.isfinite(sd)):
                 return
             middle, most = self.prior[2 * k : 2 * k + 2]

@@ -49,7 +49,7 @@ from meshpoint.units import US
 FOLLOWED: Final = 240
 """This many of them, by their weights, are followed ahead."""
 MEASUREMENT_US: Final = 4000.0
-"""Edges within this are taken together: one by itself reports little, and a shaft swings slowly."""
+"""Edges within this are taken together: one by itself says little, and a shaft swings slowly."""
 LEAST_SHARE: Final = 0.25
 """The cloud is resampled when fewer than this share of it carries the weight."""
 MOST_OFF: Final = 4.0
@@ -172,7 +172,7 @@ class LashCloud:
         whole = float(p[0, 0]) + variance
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
-        self._measurement_back(off, whole)
+        self._take_surprise(off, whole)
         correct(x, self._logs, off, gain, whole)
         self._weights = None
         self._p = p - np.outer(gain, p[0])
@@ -180,7 +180,7 @@ class LashCloud:
         if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES and self.is_alive:
             self._draw(weights)
 
-    def _measurement_back(self, off: Vector, variance: float) -> None:
+    def _take_surprise(self, off: Vector, variance: float) -> None:
         """Takes how far off the cloud was: one that has lost the driveline does not know it by
         itself, because what is resampled is as narrow as the little that was left."""
         weights = self.weights

@@ -26,7 +26,7 @@ LEAST_WINDOWS: Final = 3
 """Least number of windows before backlash is believed: in the first ones the linear swing has
 little but its priors."""
 MOST_A_WINDOW: Final = 8.0
-"""One window, in which a model lost the driveline, reports no more than this."""
+"""One window, in which a model lost the driveline, counts for no more than this."""
 REJECTED: Final = -4.0
 """At this score or below, backlash is so unlikely that it is no longer tried."""
 RETRIED: Final = -3.0
@@ -103,8 +103,8 @@ class LashRivals:
     def end(self) -> None:
         """The window is over. Predictions overlap: those of one horizon count as one."""
         self._windows += 1
-        reported = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
-        self._for_lash = max(LOWEST, FORGET * self._for_lash + reported)
+        shown = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
+        self._for_lash = max(LOWEST, FORGET * self._for_lash + shown)
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
         enough = self._for_lash > (DROPPED if self._believed else BELIEVED)
         self._believed = self._windows >= LEAST_WINDOWS and enough

@@ -63,7 +63,7 @@ class StartWatch:
             seen.popleft()
 
     def take_vehicle(self, vehicle: VehicleTrajectory) -> None:
-        """A window in neutral has reported how the vehicle goes."""
+        """A window in neutral has shown how the vehicle goes."""
         self._vehicle = vehicle
 
     def released(
@@ -99,7 +99,7 @@ class StartWatch:
 
 
 def _kept(start: LashStart, vehicle: VehicleTrajectory, sds: tuple[float, float]) -> LashStart:
-    """The start with the vehicle as a window in neutral has reported it."""
+    """The start with the vehicle as a window in neutral has shown it."""
     if not (np.isfinite(vehicle[1:3]).all() and np.isfinite(vehicle.covariance).all()):
         return start
     vehicle = vehicle.at(start.time_us)

@@ -153,7 +153,7 @@ def _step(
     curvature = (below - 2.0 * least + above) / (reach * reach)
     if not math.isfinite(curvature):
         return at, least, one.sd
-    # A probe may lie beyond the figure's range: it reports the slope there, and is never taken.
+    # A probe may lie beyond the figure's range: it gives the slope there, and is never taken.
     inside = [probe for probe in ((low, below), (high, above))
               if one.least_log <= probe[0][k] <= one.most_log]  # fmt: skip
     best, found = min(((at, least), *inside), key=lambda tried: tried[1])

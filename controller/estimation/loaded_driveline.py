@@ -47,7 +47,8 @@ backlash of its mesh."""
 MOST_OFF: Final = 4.0
 """A measurement that is further off, in standard deviations, counts as so far off."""
 LOST: Final = 25.0
-"""Mean square of how far off looks are, in variances, with which it has lost the driveline."""
+"""Mean square of how far off measurements are, in variances, with which it has lost the
+driveline."""
 NIS_KEPT: Final = 0.9
 """Weight of the mean normalised innovation squared so far, against a new one."""
 START_NM: Final = 1000.0

@@ -72,7 +72,7 @@ class TeethInGear:
         """Those of this stretch."""
 
     def lose(self) -> None:
-        """Edges were lost: what has been gathered is released."""
+        """Edges were lost: what has been gathered is dropped."""
         self.pause()
         self._windows.clear()
 

@@ -191,7 +191,7 @@ def spread_over(
     p: Vector, dt: float, step: MotionStep, model: Model, gain: float, noise_scale: float
 ) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; step: that of
-    `transition` over the same time; gain: that of the brake; noise scale: what the noises of the
+    `transition` over the same time; gain: that of the brake; noise_scale: what the noises of the
     accelerations are multiplied by.
 
     Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt)

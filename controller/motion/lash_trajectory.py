@@ -172,13 +172,13 @@ class LashTrajectory:
         possible then; of these the share within half a gap of it will be the probability."""
         angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
         own = self._own_variance(TIMES)
-        reported = self._p[0, 0] + LEAST_SD_RAD**2
+        known = self._p[0, 0] + LEAST_SD_RAD**2
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
         # One row of NumPy's after the other: along the first axis it takes three times as long.
         widest = list(accumulate(_apart(angle[: then[-1] + 1]), np.maximum))
         most = np.array([widest[place] for place in then.tolist()])
-        weights = np.exp(-0.25 * most**2 / reported)
+        weights = np.exp(-0.25 * most**2 / known)
         weights /= weights.sum(axis=2, keepdims=True)
         near = _apart(angle[later]) < self._half_gap_rad
         shares = (weights * near).sum(axis=2).mean(axis=1)

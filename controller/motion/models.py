@@ -47,7 +47,8 @@ class LayshaftState(NamedTuple):
     covariance: Vector | None = None
     """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
     edge_rad2_s: float = 0.0
-    """Variance of an edge's angle times the time from edge to edge, where the estimator reports."""
+    """Variance of an edge's angle times the time from edge to edge, where the estimator gives
+    it."""
 
     @property
     def is_finite(self) -> bool:

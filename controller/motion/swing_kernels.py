@@ -132,7 +132,7 @@ def swing_on(state: SwingState, step: SwingStep) -> None:
 def swing_spread(
     p: Vector, dt: float, step: SwingStep, model: SwingModel, noise_scale: float
 ) -> None:
-    """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; noise scale: what
+    """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; noise_scale: what
     the noise of the shaft's acceleration is multiplied by."""
     work = step.work
     for j in range(SWING_STATES):

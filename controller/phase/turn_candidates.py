@@ -46,8 +46,8 @@ class TurnSet(NamedTuple):
         if gear not in self.moduli:
             return frozenset()
         c = self.shared[gear]
-        reported = {turn % c for turn in self.turns}
-        return frozenset(r for r in self.residues[gear] if r % c in reported)
+        possible = {turn % c for turn in self.turns}
+        return frozenset(r for r in self.residues[gear] if r % c in possible)
 
     @property
     def empty(self) -> bool:
@@ -78,8 +78,8 @@ def narrowed(turns: TurnSet, gear: MainGear, agrees: Callable[[int], bool]) -> T
 
     agrees: whether a residue N modulo n of the gear agrees with it."""
     left = frozenset(r for r in turns.candidates(gear) if agrees(r))
-    reported = {r % turns.shared[gear] for r in left}
-    kept = frozenset(turn for turn in turns.turns if turn % turns.shared[gear] in reported)
+    possible = {r % turns.shared[gear] for r in left}
+    kept = frozenset(turn for turn in turns.turns if turn % turns.shared[gear] in possible)
     return turns._replace(turns=kept, residues={**turns.residues, gear: left})
 
 

@@ -80,7 +80,8 @@ class StepPhase:
             self._waits_us = max(0, self._waits_us - shorter_us)
         else:
             self._had_all = 0
-            # By no more for a step that was itself held up: it says of the machine, not of a read.
+            # By no more for a step that was itself held up: that is the machine's doing, not the
+            # read's.
             longer_us = min(self._waits_us, age_us) + LONGER_US
             self._waits_us = min(max(self._waits_us, longer_us), round(MOST_SHARE * self._tick_us))
         self._move(age_us)

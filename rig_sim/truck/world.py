@@ -356,7 +356,7 @@ class TruckWorld:
 
     def _step_air_out(self, valve: Valve) -> None:
         """A valve of splitter or range is off and its cylinder empty, unless it was driven anew:
-        what still stands before its cones or rubs on them releases."""
+        what still stands before its cones or rubs on them is free again."""
         name, side = STEP_VALVES[valve]
         sleeve = self.script.steps[name]
         if self._steps_driven[valve] or sleeve.side != side or self.engagement.scripted:

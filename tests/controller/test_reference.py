@@ -159,7 +159,7 @@ def test_lost_counts_lose_every_reference(sheet: GearboxSheet) -> None:
 
 
 def test_a_gear_that_turns_back_in_its_gap_lies_on_the_other_flank(sheet: GearboxSheet) -> None:
-    """Drag carries a tooth that has met one flank across the gap to the other: the move reports on
+    """Drag carries a tooth that has met one flank across the gap to the other: the move shows on
     which it lies, whatever the slip at contact was."""
     references = PhaseReferences(sheet)
     box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)

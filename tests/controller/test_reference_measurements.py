@@ -1,5 +1,5 @@
-"""What looks at a gear in mesh tell of its phase, one way after the other: where its tooth was
-carried, how it moved, where drag holds it, how far it floated."""
+"""What measurements at a gear in mesh show of its phase, one way after the other: where its tooth
+was carried, how it moved, where drag holds it, how far it floated."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BOX = Gearbox(*TEETH[GEAR], 0.4, -0.7, 0.2)
 def measurement(
     references: PhaseReferences, share: float, pulled: bool = False, tooth: int = 3
 ) -> bool:
-    """One look at a tooth, at a share of half its gap."""
+    """One measurement of a tooth, at a share of half its gap."""
     return references.watch(GEAR, BOX.layshaft_at_phase(share * HALF_GAP, 5.0, tooth), 5.0, pulled)
 
 
@@ -115,7 +115,7 @@ def test_drag_alone_holds_a_tooth_low_once_teeth_are_known_to_move() -> None:
 def test_a_floating_tooth_tells_its_gap_by_where_it_is_seen_some_times_in_a_row(
     together: int,
 ) -> None:
-    """An impact disturbs single looks."""
+    """An impact disturbs single measurements."""
     references = locked(0.0, straight=False)
     for _ in range(5):
         for share in [-1.0] * together + [1.0] * together:

@@ -88,8 +88,8 @@ def inputs_of(*read_us: int) -> Any:
 
 def steps_after(late: tuple[int, ...], between_every: int, count: int) -> list[int]:
     """Ages of the newest read at this many steps. A read's frames come after 800 us; the first
-    reads come as late as reported, and every this many steps one between two ticks takes the frames
-    of a read before the tick does."""
+    reads come as late as given, and one step in `between_every` lies between two ticks and takes
+    the frames of a read before the tick does."""
     phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
     for k in range(count):
         came = []

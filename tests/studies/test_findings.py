@@ -176,7 +176,7 @@ def test_landings_agree_where_nine_to_ten_of_ten_intervals_hold_the_truth(
 def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_built(
     outside: int, agrees: bool
 ) -> None:
-    """What a log does not tell is counted as not reported, not as right."""
+    """What a log does not show is counted as not reported, not as right."""
     start = given("identify")
     start = replace(start, own=replace(start.own, gearboxes=1))
     (job,) = load("identify").jobs(start)

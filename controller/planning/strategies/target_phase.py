@@ -93,7 +93,7 @@ class TargetPhase:
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
         self._sheet, self._timing = sheet, settings.timing
-        self._reported_us = known_until_recall_us(sheet, settings.timing)
+        self._known_us = known_until_recall_us(sheet, settings.timing)
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -194,7 +194,7 @@ class TargetPhase:
         """Time of a trajectory's cheapest contact."""
         measurement = last_measurement(self._sheet, self._timing, predictor.delay_us)
         first_us, step_us, phase, _ = trajectory
-        settled = predictor.reported_variances(first_us, step_us, phase.size, now_us, measurement)
+        settled = predictor.known_variances(first_us, step_us, phase.size, now_us, measurement)
         variances = settled + self._reference_variance
         best, _ = self._least(predictor, now_us, trajectory, variances)
         return trajectory.first_us + best * trajectory.step_us
@@ -214,7 +214,7 @@ class TargetPhase:
         variances that are left when the sleeve for each contact can last be recalled."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        before = round((max(0.0, first_us - firing_us) + self._reported_us) / step_us)
+        before = round((max(0.0, first_us - firing_us) + self._known_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
         now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance

@@ -63,7 +63,7 @@ class _Object(NamedTuple):
 
 def blf_entries(file: BinaryIO, file_bytes: int, buses: Buses) -> Entries:
     """Every frame of a BLF log of `file_bytes` bytes; time in seconds since the epoch, or since
-    the start when the log does not tell its start. Raises DefectError.
+    the start when the log does not show its start. Raises DefectError.
     """
     header = file.read(_FILE_HEADER.size)
     if len(header) < _FILE_HEADER.size or not header.startswith(b"LOGG"):
