@@ -33,7 +33,7 @@ from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.refused_lead import RefusedLead
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.step_phase import StepPhase
+from meshpoint.controller.sensing.step_timing import StepPhase
 from meshpoint.controller.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence

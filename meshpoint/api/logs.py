@@ -23,8 +23,8 @@ from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
 from meshpoint.testbench.results.monitor import RowMonitor
-from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_parts import PHASES
 
 if TYPE_CHECKING:
     import pyarrow as pa

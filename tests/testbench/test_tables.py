@@ -51,8 +51,8 @@ from meshpoint.testbench.open_loop.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.replay.sensors import seen_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
-from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_parts import PHASES
 from meshpoint.testbench.show import calibration as calibration_command
 from meshpoint.testbench.show import gearbox as gearbox_command
 from meshpoint.testbench.show import messages as messages_command

@@ -10,8 +10,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
-from meshpoint.testbench.results.phases import ShiftPhases
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_parts import ShiftPhases
 from meshpoint.units import MM, RPM
 
 NO_OUTCOME = "no_outcome"
@@ -73,7 +73,7 @@ class JudgedShift:
     entry_ms: float | None
     seen_ms: float | None
     closing_ms: float | None
-    """Where the time went, as `results.phases` has it."""
+    """Where the time went, as `results.shift_parts` has it."""
 
     @property
     def is_gap(self) -> bool:

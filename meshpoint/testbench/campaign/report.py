@@ -20,7 +20,7 @@ from meshpoint.testbench.report.html import (
     table,
     table_row,
 )
-from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
+from meshpoint.testbench.results.shift_parts import TITLES as PHASE_TITLES
 
 FEW_RUNS = 30
 SWEPT_BY = {"backlash": BACKLASH, "scatter": DELAY_SD}

@@ -25,8 +25,8 @@ from meshpoint.testbench.campaign.intervals import (
     telling_runs,
 )
 from meshpoint.testbench.campaign.spec import TRUE_STATE
-from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import SOURCES
+from meshpoint.testbench.results.shift_parts import PHASES
 
 P99: Final = 0.99
 Figure = Callable[["Shots"], tuple[Vector, Integers]]

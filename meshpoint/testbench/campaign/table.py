@@ -10,7 +10,7 @@ from rich.table import Table
 
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.results.output import broken, number
-from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
+from meshpoint.testbench.results.shift_parts import TITLES as PHASE_TITLES
 
 
 def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:

@@ -24,8 +24,8 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.results.phases import ShiftPhases, closing_since_us, phases_of
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
+from meshpoint.testbench.results.shift_parts import ShiftPhases, closing_since_us, phases_of
 from meshpoint.units import DEG, RPM
 
 CONTACT_KINDS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}

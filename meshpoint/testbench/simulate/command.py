@@ -37,7 +37,8 @@ from meshpoint.testbench.report.write import (
     report_provenance,
     write_report,
 )
-from meshpoint.testbench.results.gates import (
+from meshpoint.testbench.results.junit import write_junit, write_text
+from meshpoint.testbench.results.limits import (
     MEANINGS,
     Gate,
     GateResult,
@@ -45,7 +46,6 @@ from meshpoint.testbench.results.gates import (
     markdown,
     parse_gate,
 )
-from meshpoint.testbench.results.junit import write_junit, write_text
 from meshpoint.testbench.results.output import (
     complain,
     complain_of_strategy,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.step_phase import LONGER_US, MOST_MOVED_US, StepPhase
+from meshpoint.controller.sensing.step_timing import LONGER_US, MOST_MOVED_US, StepPhase
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import EdgesInputRise
 from meshpoint.gearbox import load_sheet

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.results.gates import MEANINGS, Gate, figures, judge, parse_gate
+from meshpoint.testbench.results.limits import MEANINGS, Gate, figures, judge, parse_gate
 from meshpoint.testbench.results.rows import ShiftRow, summarise
 
 ROOT = Path(__file__).parents[2]
