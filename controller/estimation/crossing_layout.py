@@ -1,4 +1,4 @@
-"""The record of a crossing-time filter, and the arrays a wheel's teeth are learned by."""
+"""The memory of a crossing-time filter, and the arrays a wheel's teeth are learned by."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ LATE: Final = 1
 
 
 class FilterMemory(RecordMemory):
-    """A filter's record, with views of the fields that are used often."""
+    """A filter's memory, with views of the fields that are used often."""
 
     def __init__(self, layout: Layout = FILTER) -> None:
         super().__init__(layout)

@@ -224,14 +224,14 @@ def ahead(
     switches: Vector,
     model: MotionModel,
 ) -> LayshaftState:
-    """The record of a filter's state and covariance at a time, gone on with to another."""
+    """The layshaft at another time, by a filter's state and covariance at this one."""
     x, p = x.copy(), p.copy()
     forecast(x, p, float(time_us), float(to_us), switches, model.flat)
     return state_of(x, p, to_us)
 
 
 def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
-    """The record of a filter's state and covariance."""
+    """The layshaft by a filter's state and covariance."""
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
     sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]

@@ -1,4 +1,4 @@
-"""The record of the edge gate (`gate_kernels`), and its tuning constants."""
+"""The memory of the edge gate (`gate_kernels`), and its tuning constants."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ DUTY_SHARE: Final = 0.02
 
 
 class GateMemory(RecordMemory):
-    """A gate's record, and those of its parts that are asked for often; all are views."""
+    """A gate's memory, and those of its parts that are asked for often; all are views."""
 
     def __init__(self) -> None:
         super().__init__(GATE)

@@ -32,7 +32,7 @@ CYCLE_SHARE: Final = 0.02
 """The sensors' cycle may differ so much from a tick; with another one there is nothing to keep."""
 
 
-class StepPhase:
+class StepTiming:
     """How much sooner the next step should come than a tick after this one."""
 
     def __init__(self, tick_us: int) -> None:
