@@ -196,7 +196,7 @@ def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_reported_in_time(
 ) -> None:
     """The earliest contact is in the middle of a gap, with 20 rpm. It is fired in 18 ms, and until
     its valve's delay of 12 ms is over the sleeve has not moved: the step after 20 ms can still call
-    it back, with a valve of 22 ms the one after 30 ms. If the phase is reported later, a later gap
+    it back, with a valve of 22 ms the one after 30 ms. If the phase is known later, a later gap
     is better."""
     sheet = dataclasses.replace(
         SHEET, sleeve=dataclasses.replace(SHEET.sleeve, valve_delay_s=1e-3 * valve_ms)
