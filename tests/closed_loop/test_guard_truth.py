@@ -57,7 +57,7 @@ class MadCore(ControllerCore):
         self.truth: Any = None
         self._passes = self._guard.passes
         self._is_guarded = guarded
-        self._guard.passes = self._measurement  # type: ignore[method-assign]
+        self._guard.passes = self._measure  # type: ignore[method-assign]
 
     def _measure(self, payload: bytes, seen: Any) -> bool:
         passes = self._passes(payload, seen)

@@ -33,7 +33,7 @@ class Seen:
     def __init__(self, gear: int = 4) -> None:
         self.gear, self.now_us = gear, 3_000_000
         self.measurement = DrivelineMeasurement(SHEET)
-        self.measurement.rings.measurement = lambda *_: None  # type: ignore[method-assign]
+        self.measurement.rings.measure = lambda *_: None  # type: ignore[method-assign]
 
     def step(self, speed: float | None, share: float | None, state: State = State.IN_GEAR) -> None:
         self.now_us += TICK_US
