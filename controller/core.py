@@ -33,7 +33,7 @@ from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.refused_lead import RefusedLead
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.step_phase import StepPhase
+from meshpoint.controller.sensing.step_timing import StepTiming
 from meshpoint.controller.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -107,7 +107,7 @@ class ControllerCore:
         self._board = ValveBoard(timing)
         self._probe = ClockProbe()
         self._refused = RefusedLead(settings.timing.tick_us)
-        self._phase = StepPhase(settings.timing.tick_us)
+        self._timing = StepTiming(settings.timing.tick_us)
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references, header.armed
@@ -229,8 +229,8 @@ class ControllerCore:
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
-        measurement = self._phase.take if self._is_tick(now_us) else self._phase.between
-        measurement(inputs, snapshot.now_us)
+        take = self._timing.take if self._is_tick(now_us) else self._timing.between
+        take(inputs, snapshot.now_us)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)
@@ -441,7 +441,7 @@ class ControllerCore:
         due_us = self._due_us if self._due_us is not None else now_us
         if self._is_tick(now_us):
             due_us += tick_us * (1 + (now_us - due_us) // tick_us)
-            due_us = max(now_us + 1, due_us - self._phase.sooner_us)
+            due_us = max(now_us + 1, due_us - self._timing.sooner_us)
         sent_us = sensor_us + self._ahead_us
         switch_us = self._board.next_switch_us(sent_us)
         self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)

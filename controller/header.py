@@ -97,7 +97,7 @@ def architecture() -> str:
 
 
 def run_hash_of(status: ControllerStatus) -> int:
-    """The run hash that a status frame reports, in two words."""
+    """The run hash that a status frame carries, in two words."""
     return status.run_hash_high << 32 | status.run_hash_low
 
 

@@ -216,11 +216,11 @@ class ThesisFilterTuning:
     """Tuning of the thesis's Kalman filter: Q_k = (w dt)(w dt)' (5.8) and R."""
 
     w_angle_rad_s: float = quantity("w_angle_deg_s", 0.0, 1e4, DEG, default=0.5 * DEG)
-    """w of the layshaft's angle."""
+    """`w` of the layshaft's angle."""
     w_speed_rad_s2: float = quantity("w_speed_rad_s2", 0.0, 1e5, default=20.0)
-    """w of its speed."""
+    """`w` of its speed."""
     w_pressure_pa_s: float = quantity("w_pressure_bar_s", 0.0, 1e3, 1e5, default=1e5)
-    """w of the brake pressure."""
+    """`w` of the brake pressure."""
     r_angle_rad: float = quantity("r_angle_deg", 1e-4, 5.0, DEG, default=0.02 * DEG)
     """Standard deviation of a measured angle: R is its square."""
 
@@ -297,7 +297,8 @@ class CrossingFilterTuning:
     """Typical speed by which the main shaft swings against the wheels after a gear has come out,
     before any shift has shown it."""
     far_rad_s: float = quantity("far_rpm", 0.01, 500.0, RPM, default=3.0 * RPM)
-    """The same on tyres and half shafts."""
+    """Typical speed by which the main shaft swings on tyres and half shafts, before any shift has
+    shown it."""
     swing_noise_rad2_s3: float = quantity("swing_noise_rad2_s3", 0.0, 1e6, default=0.1)
     """Typical density of the noise that accelerates the main shaft, before any shift has shown
     it."""

@@ -1,4 +1,4 @@
-"""Writes `messages.pyi`, which reports type checkers and people what `messages` makes from the DBC.
+"""Writes `messages.pyi`, which shows type checkers and people what `messages` makes from the DBC.
 
 `python -m meshpoint.dbc.stubs` writes the file; `python -m meshpoint.dbc.stubs --check` compares it
 with the DBC and ends with 1 if they differ.

@@ -143,7 +143,7 @@ def _say_where(folder: KernelFolder, refused: str) -> None:
 
 
 class _Place(_CacheLocator):
-    """Numba wants to be reported a place; `KernelCache` knows its own."""
+    """Numba wants to be given a place; `KernelCache` knows its own."""
 
     def get_cache_path(self) -> str:
         return ""

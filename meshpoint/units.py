@@ -9,19 +9,19 @@ import math
 from typing import Final
 
 RPM: Final = math.pi / 30.0
-"""rad/s"""
+"""`rad/s` in a revolution a minute."""
 DEG: Final = math.pi / 180.0
-"""rad"""
+"""`rad` in a degree."""
 TURN: Final = 2.0 * math.pi
-"""rad"""
+"""`rad` in a turn."""
 BAR: Final = 1e5
-"""Pa"""
+"""`Pa` in a bar."""
 MM: Final = 1e-3
-"""m"""
+"""`m` in a millimetre."""
 MS: Final = 1e-3
-"""s"""
+"""`s` in a millisecond."""
 US: Final = 1e-6
-"""s"""
+"""`s` in a microsecond."""
 MS_US: Final = 1e3
 """A millisecond in microseconds, where times are counted in them."""
 SECOND_US: Final = 1e6

@@ -111,7 +111,7 @@ class RigCore:
         frames: list[Frame] = []
         read_us = self._world.next_read_us
         while self._world.run_to(time_us):
-            self._send_records(frames)
+            self._send_engaged(frames)
             self._send_read(frames, read_us)
             read_us = self._world.next_read_us
         inbox, self._inbox = self._inbox, []
@@ -121,7 +121,7 @@ class RigCore:
         for message in heard:
             if message is not None:
                 self._obey(message, time_us)
-        self._send_records(frames)
+        self._send_engaged(frames)
         return Step(frames, self._take_lines(time_us))
 
     def _hear(self, frame: Frame) -> Message | None:
@@ -182,9 +182,9 @@ class RigCore:
         frames.extend(map(self._transmitter.encode, messages))
         frames += unread or []
 
-    def _send_records(self, frames: list[Frame]) -> None:
-        for record in self._world.take_records():
-            message = engagement_message(record, self._world.clock)
+    def _send_engaged(self, frames: list[Frame]) -> None:
+        for engaged in self._world.take_engaged():
+            message = engagement_message(engaged, self._world.clock)
             frames.append(self._transmitter.encode(message))
 
     def _take_lines(self, time_us: int) -> list[str]:

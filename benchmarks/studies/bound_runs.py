@@ -234,7 +234,8 @@ class _Bench:
         teeth.end_window()
 
     def drive(self, run: SceneRun, each: Callable[[float], None] | None = None) -> None:
-        """One shift from its first edge to its end; `each` is reported the time after every batch.
+        """One shift from its first edge to its end; `each` is called with the time after every
+        batch.
 
         The layshaft is known to be free from half of the time before the brake on."""
         tracker, brake = self.tracker, self.brake

@@ -33,13 +33,13 @@ class Box(NamedTuple):
     said: tuple[str, ...]
     """What was found bad."""
     reported: int
-    """Of 12 tooth counts and ratios: how many were reported,"""
+    """How many of 12 tooth counts and ratios were reported."""
     mistaken: int
-    """and how many of these are wrong."""
+    """How many of these are wrong."""
     true_gaps: tuple[bool, ...]
-    """Of each judged shift, whether its first contact was in the gap: with the true sheet,"""
+    """Of each judged shift, whether its first contact was in the gap, with the true sheet."""
     gaps: tuple[bool, ...]
-    """and with the measured one and its calibration."""
+    """The same, with the measured sheet and its calibration."""
     simulated_s: float
 
 

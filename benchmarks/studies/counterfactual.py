@@ -162,7 +162,7 @@ def _chart(reported: list[tuple[int, Compared]], pitch_deg: float) -> Chart:
 
 STUDY = Study(
     "counterfactual",
-    "Where another strategy would have landed, distinguished from a log",
+    "Where another strategy would have landed, as a log shows it",
     ("beyond",),
     Settings,
     _conclude,

@@ -149,8 +149,8 @@ class Common:
     gearbox: str = text("gearbox")
     profile: str = text("profile", *Profile)
     friction_nms: float = quantity("friction_nms", 0.0, 2.0)
-    """c_tot of 4.11 where a study is compared with figures that depend on it: the thesis does not
-    give its own."""
+    """Friction `c_tot` of 4.11 where a study is compared with figures that depend on it: the thesis
+    does not give its own."""
     shift: Braking = group(Braking)
 
 

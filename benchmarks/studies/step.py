@@ -67,7 +67,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     }
     chart = Chart(
         "step",
-        "Euler's method: angle of the layshaft 45 ms after the brake has begun to released",
+        "Euler's method: angle of the layshaft 45 ms after the brake has begun to release",
         "step, ms",
         (
             Panel(

@@ -18,7 +18,7 @@ from meshpoint.dbc.messages import EEC1, TC1, ControllerState, ValveStatus
 from meshpoint.dbc.node import Node
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.shared.script import ScriptPhase
+from meshpoint.rig_sim.shared.script import ScriptStage
 from meshpoint.units import RPM
 
 AGAIN_US: Final = 60_000
@@ -158,7 +158,7 @@ class WatchedRig(RigCore):
     def is_moved_by_the_bench(self) -> bool:
         """Whether the bench's hand is on the sleeves."""
         world: Any = self._world
-        return bool(world.script.phase is not ScriptPhase.IDLE)
+        return bool(world.script.stage is not ScriptStage.IDLE)
 
     @property
     def is_stalled(self) -> bool:

@@ -152,23 +152,23 @@ class Stranger:
     def __init__(self) -> None:
         self.babble_us = 0
         self.pretend_us = 0
-        self._reported = 0
+        self._steps = 0
         self.next_step_us = 1
 
     def receive(self, frame: Frame) -> None:
         """It does not listen."""
 
     def step(self, now_us: int) -> Step:
-        """One frame of each, as often as it was reported."""
+        """One frame of each kind that it was made for."""
         every_us = min([each for each in (self.babble_us, self.pretend_us) if each], default=10_000)
         self.next_step_us = now_us + every_us
-        self._reported += 1
+        self._steps += 1
         frames = []
         if self.babble_us:
             frames.append(Frame(BABBLE_ID, bytes(8), is_fd=False))
         if self.pretend_us:
             # No protection: an accident or a foreign tool, not an attacker who knows the CRC.
-            frames.append(Frame(OWN_ID, bytes([self._reported & 0xFF]) * OWN_LENGTH))
+            frames.append(Frame(OWN_ID, bytes([self._steps & 0xFF]) * OWN_LENGTH))
         return Step(frames, [])
 
     def shutdown(self, now_us: int) -> Step:  # noqa: ARG002

@@ -47,17 +47,17 @@ def load(path: Path, sheet: GearboxSheet) -> Loaded:
     try:
         calibration = read_file(path, sheet)
     except CalibrationError as error:
-        reported = f"calibration refused: {error}"
+        refusal = f"calibration refused: {error}"
         if path.exists() and not path.is_file():
             # A device or a folder is somebody else's: neither moved nor replaced.
-            return Loaded(None, f"{reported}; nothing will be written; cold start", False)
+            return Loaded(None, f"{refusal}; nothing will be written; cold start", False)
         try:
             kept = _put_aside(path)
         except OSError as failure:
             reason = failure.strerror or failure
-            reported = f"{reported}; cannot be put aside ({reason}), so nothing will be written"
-            return Loaded(None, f"{reported}; cold start", False)
-        return Loaded(None, f"{reported}; kept as {kept}; cold start", True)
+            refusal = f"{refusal}; cannot be put aside ({reason}), so nothing will be written"
+            return Loaded(None, f"{refusal}; cold start", False)
+        return Loaded(None, f"{refusal}; kept as {kept}; cold start", True)
     shifts = calibration.provenance.shifts
     noun = "shift" if shifts == 1 else "shifts"
     return Loaded(calibration, f"calibration {path}: learned over {shifts} {noun}", True)

@@ -139,16 +139,16 @@ class NoiseRecord:
 
     shifts: int = count("learned_from_shifts", 0, MOST_SHIFTS)
     layshaft_edge_s: float = quantity("layshaft_edge_us", 0.05, 500.0, US)
-    """Standard deviation of the time of a layshaft edge,"""
+    """Standard deviation of the time of a layshaft edge."""
     layshaft_edge_sd: float = quantity("layshaft_edge_sd", 0.0, 5.0)
     main_edge_s: float = quantity("main_edge_us", 0.05, 500.0, US)
-    """and of one of the main shaft."""
+    """Standard deviation of the time of an edge of the main shaft."""
     main_edge_sd: float = quantity("main_edge_sd", 0.0, 5.0)
     torque_nm: float = quantity("torque_nm", 1e-3, 1e3)
-    """Standard deviation of torques at the layshaft,"""
+    """Standard deviation of the torques at the layshaft that its model leaves out."""
     torque_sd: float = quantity("torque_sd", 0.0, 5.0)
     memory_s: float = quantity("memory_ms", 0.1, 5e3, MS)
-    """and how long they last."""
+    """How long such a torque lasts."""
     memory_sd: float = quantity("memory_sd", 0.0, 5.0)
     friction_nms: float = quantity("friction_nms", 0.0, 10.0, default=0.0)
     """Viscous friction of the layshaft; 0 in a file that was written before it was learned."""

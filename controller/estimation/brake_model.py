@@ -58,7 +58,7 @@ QUIET: Final = np.zeros(4)
 
 LAG_TOLERANCE: Final = 1.5
 """Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
-reported."""
+stated."""
 TOUCH_SD_PA: Final = 0.15e5
 
 

@@ -1,4 +1,4 @@
-"""The record of a crossing-time filter, and the arrays a wheel's teeth are learned by."""
+"""The memory of a crossing-time filter, and the arrays a wheel's teeth are learned by."""
 
 from __future__ import annotations
 
@@ -47,12 +47,14 @@ class Filter:
 
     # Parameters.
     noise_adaptation: float
-    """How fast `noise scale` follows the innovations, a share an edge; 0: the model's noise
+    """How fast `noise_scale` follows the innovations, a share an edge; 0: the model's noise
     holds."""
     edge_time_s: float
+    """Standard deviation of an edge's time."""
     tooth_rad: float
+    """Standard deviation of an edge's angle."""
     pressure_sd_pa: float
-    """sd of an edge's time, of its angle, of the measured pressure."""
+    """Standard deviation of the measured pressure."""
     gate_sd: float
     """An edge is refused if its innovation exceeds this many standard deviations."""
     model: Model
@@ -102,7 +104,7 @@ LATE: Final = 1
 
 
 class FilterMemory(RecordMemory):
-    """A filter's record, with views of the fields that are used often."""
+    """A filter's memory, with views of the fields that are used often."""
 
     def __init__(self, layout: Layout = FILTER) -> None:
         super().__init__(layout)

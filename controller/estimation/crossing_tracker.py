@@ -47,11 +47,11 @@ from meshpoint.controller.settings import CrossingFilterTuning
 
 VISCOUS_FACTOR: Final = 3.0
 """A gearbox's viscous friction is its sheet's within this factor, one standard deviation: oil,
-temperature and load change it;"""
+temperature and load change it."""
 VISCOUS_NMS: Final = (1e-3, 2.0)
-"""within this range, Nms;"""
+"""Least and greatest viscous friction that is learned (Nms)."""
 VISCOUS_SD: Final = 0.1
-"""and it is never known better than this."""
+"""The viscous friction's logarithm is never known better than this, one standard deviation."""
 LEAST_FREE_EDGES: Final = 100
 """With fewer edges of free motion, gain and drag are not taken over from the filter."""
 

@@ -1,4 +1,4 @@
-"""Edges taken together: one by itself reports little, and a shaft swings slowly."""
+"""Edges taken together: one by itself says little, and a shaft swings slowly."""
 
 from __future__ import annotations
 

@@ -36,23 +36,27 @@ from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import US
 
 DRIVELINES: Final = 2500
-"""In a cloud."""
+"""Number of drivelines in a cloud."""
 PRESSED: Final = 0.6
-"""Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
+"""Share of the first cloud that is still pressed to the flank that the shafts' torque held."""
 AROUND: Final = 1.15
-"""the rest lies within the backlash and this much of its half beyond: flanks give way."""
-REPORTED_SDS: Final = 2.0
-"""In gear a flank was pressed on, where the twist was beyond it by this many standard
-deviations;"""
-PRESSED_REPORTED: Final = 0.9
-PRESSED_UNTOLD: Final = 0.5
-"""so much of the first cloud lies where it was found in gear, with a flank pressed on, and else."""
+"""The rest of the first cloud lies within the backlash and this much of its half beyond: flanks
+give way."""
+PRESSED_SDS: Final = 2.0
+"""In gear, a flank was pressed on where the twist was beyond it by this many standard
+deviations."""
+PRESSED_IN_GEAR: Final = 0.9
+"""Share of the first cloud that lies where the driveline was found in gear, if a flank was pressed
+on."""
+FREE_IN_GEAR: Final = 0.5
+"""Share of the first cloud that lies where the driveline was found in gear, if no flank was pressed
+on."""
 GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
 LEAST_DRAG: Final = 0.5
 """Drag is never less (rad/s2): it always slows a shaft down."""
 SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
 """What one window says of stiffness, loss, backlash and drag counts as no surer than this, in
-their logarithms: a shaft that met no flank reports little, and its cloud does not know how
+their logarithms: a shaft that met no flank shows little, and its cloud does not know how
 little."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
@@ -65,10 +69,12 @@ class LashStart(NamedTuple):
     angle_rad: float
     speed_rad_s: float
     vehicle_rad_s: float
-    """The vehicle's speed at the main shaft, and its acceleration,"""
+    """The vehicle's speed, at the main shaft."""
     hill_rad_s2: float = 0.0
+    """The vehicle's acceleration, at the main shaft."""
     vehicle_root: Vector | None = None
-    """with a root of their covariance, (2, 2); None: as the sheet says."""
+    """A root of the covariance of the vehicle's speed and acceleration, (2, 2); None: as the sheet
+    says."""
     pressed_nm: float = 0.0
     """About what was left in the shafts, at the propeller shaft: above 0 at the flank of drive,
     below at that of coast, 0 unknown."""
@@ -98,17 +104,21 @@ class LashFigures(NamedTuple):
     their standard deviations."""
 
     stiff_log: float
+    """Logarithm of the shafts' stiffness over the main shaft's inertia (1/s2)."""
     stiff_sd: float
-    """Of the shafts' stiffness over the main shaft's inertia (1/s2),"""
+    """Its standard deviation."""
     loss_log: float
+    """Logarithm of the loss at a flank (s/rad)."""
     loss_sd: float
-    """of the loss at a flank (s/rad),"""
+    """Its standard deviation."""
     half_log: float
+    """Logarithm of half of the backlash (rad)."""
     half_sd: float
-    """of half of the backlash (rad),"""
+    """Its standard deviation."""
     drag_log: float
+    """Logarithm of the drag's acceleration (rad/s2)."""
     drag_sd: float
-    """and of the drag's acceleration (rad/s2)."""
+    """Its standard deviation."""
 
 
 class Lash:
@@ -187,8 +197,8 @@ class Lash:
         twist, ratio = found[0], self.ratio
         beyond = twist - np.clip(twist, -half, half)
         way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
-        reported = abs(mean[0]) - half > REPORTED_SDS * math.sqrt(float(root[0] @ root[0]))
-        share = PRESSED_REPORTED if reported else PRESSED_UNTOLD
+        is_pressed = abs(mean[0]) - half > PRESSED_SDS * math.sqrt(float(root[0] @ root[0]))
+        share = PRESSED_IN_GEAR if is_pressed else FREE_IN_GEAR
         x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
         x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
 
@@ -218,12 +228,12 @@ class Lash:
     def _tyre_per_s2(self) -> float:
         return self.axle.tyre_nm_rad / self.axle.wheels_kgm2
 
-    def learn(self, reported: Callable[[int], tuple[float, float]]) -> None:
+    def learn(self, shown: Callable[[int], tuple[float, float]]) -> None:
         """Takes over what a window has shown: mean and standard deviation of the logarithm of a row
         of its cloud."""
         learned: list[float] = []
         for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
-            log, sd = reported(row)
+            log, sd = shown(row)
             if not (math.isfinite(log) and math.isfinite(sd)):
                 return
             middle, most = self.prior[2 * k : 2 * k + 2]

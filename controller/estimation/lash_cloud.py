@@ -49,7 +49,7 @@ from meshpoint.units import US
 FOLLOWED: Final = 240
 """This many of them, by their weights, are followed ahead."""
 MEASUREMENT_US: Final = 4000.0
-"""Edges within this are taken together: one by itself reports little, and a shaft swings slowly."""
+"""Edges within this are taken together: one by itself says little, and a shaft swings slowly."""
 LEAST_SHARE: Final = 0.25
 """The cloud is resampled when fewer than this share of it carries the weight."""
 MOST_OFF: Final = 4.0
@@ -57,16 +57,16 @@ MOST_OFF: Final = 4.0
 NIS_KEPT: Final = 0.9
 """Weight of the mean normalised innovation squared so far, against a new one."""
 LOST: Final = 9.0
-"""A cloud whose mean normalised innovation squared is above this has lost the driveline: it begins
-anew"""
+"""A cloud whose mean normalised innovation squared is above this has lost the driveline, and begins
+anew."""
 RECENT: Final = 4
-"""from a line through this many measurements."""
+"""A cloud that begins anew takes angle and speed from a line through this many measurements."""
 FIRST_OMEGA: Final = 2.0
-"""Standard deviation (rad/s) of the speed when a gear comes out;"""
+"""Standard deviation of the shaft's speed when a gear comes out (rad/s)."""
 FIRST_DRAG: Final = 0.5
-"""of the drag's acceleration (rad/s2) in one driveline,"""
+"""Standard deviation of the drag's acceleration in one driveline, at the start (rad/s2)."""
 DRAG_CHANGE: Final = 4.0
-"""and density of its change (rad2/s5)."""
+"""Density of the change of the drag's acceleration in one driveline (rad2/s5)."""
 
 
 class LashCloud:
@@ -172,7 +172,7 @@ class LashCloud:
         whole = float(p[0, 0]) + variance
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
-        self._measurement_back(off, whole)
+        self._take_surprise(off, whole)
         correct(x, self._logs, off, gain, whole)
         self._weights = None
         self._p = p - np.outer(gain, p[0])
@@ -180,7 +180,7 @@ class LashCloud:
         if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES and self.is_alive:
             self._draw(weights)
 
-    def _measurement_back(self, off: Vector, variance: float) -> None:
+    def _take_surprise(self, off: Vector, variance: float) -> None:
         """Takes how far off the cloud was: one that has lost the driveline does not know it by
         itself, because what is resampled is as narrow as the little that was left."""
         weights = self.weights

@@ -18,20 +18,24 @@ LUCK: Final = 0.05
 FORGET: Final = 0.8
 """Weight of earlier windows against a new one."""
 BELIEVED: Final = 5.0
-"""Backlash is believed where it is likelier by e to half of this, and from then on"""
+"""Backlash is believed once its score is above this: it is then likelier by e to half of this."""
 DROPPED: Final = 0.0
-"""until it is no likelier any more;"""
+"""Backlash that is believed is dropped when its score falls to this: it is then no likelier than
+the linear swing."""
 LEAST_WINDOWS: Final = 3
-"""not after the first two windows, in which the linear swing has little but its priors;"""
+"""Least number of windows before backlash is believed: in the first ones the linear swing has
+little but its priors."""
 MOST_A_WINDOW: Final = 8.0
-"""One window, in which a model lost the driveline, reports no more than this."""
+"""One window, in which a model lost the driveline, counts for no more than this."""
 REJECTED: Final = -4.0
-"""where it is this unlikely it is not even tried,"""
+"""At this score or below, backlash is so unlikely that it is no longer tried."""
 RETRIED: Final = -3.0
-"""until the windows that spoke against it are forgotten so far;"""
+"""Backlash that was rejected is tried again above this score: the windows that spoke against it are
+then forgotten so far."""
 LOWEST: Final = -6.0
-"""and however many did, it is tried again after the fourth: a cloud that loses its driveline twice
-speaks as strongly against a backlash as a driveline that has none."""
+"""The score falls no lower, however many windows speak against backlash, so that it is tried again
+after the fourth: a cloud that loses its driveline twice speaks as strongly against a backlash as a
+driveline that has none."""
 
 
 class Prediction(NamedTuple):
@@ -99,8 +103,8 @@ class LashRivals:
     def end(self) -> None:
         """The window is over. Predictions overlap: those of one horizon count as one."""
         self._windows += 1
-        reported = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
-        self._for_lash = max(LOWEST, FORGET * self._for_lash + reported)
+        shown = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
+        self._for_lash = max(LOWEST, FORGET * self._for_lash + shown)
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
         enough = self._for_lash > (DROPPED if self._believed else BELIEVED)
         self._believed = self._windows >= LEAST_WINDOWS and enough

@@ -29,9 +29,10 @@ EDGE_RAD: Final = 2.5e-3
 BROAD: Final = 10.0
 """Speeds may be this many times as far off as swings leave them."""
 KEPT_US: Final = 400_000.0
-"""What a window in neutral has shown of the vehicle holds so long,"""
+"""What a window in neutral has shown of the vehicle holds so long."""
 HILL_SHARE: Final = 0.1
-"""and its acceleration no closer than to this share of what hills may make of it."""
+"""Standard deviation of the vehicle's acceleration so kept is at least this share of what hills may
+make of it."""
 FIRST_EDGES: Final = 12
 """A line through this many edges in neutral gives angle and speed at its start."""
 
@@ -62,7 +63,7 @@ class StartWatch:
             seen.popleft()
 
     def take_vehicle(self, vehicle: VehicleTrajectory) -> None:
-        """A window in neutral has reported how the vehicle goes."""
+        """A window in neutral has shown how the vehicle goes."""
         self._vehicle = vehicle
 
     def released(
@@ -98,7 +99,7 @@ class StartWatch:
 
 
 def _kept(start: LashStart, vehicle: VehicleTrajectory, sds: tuple[float, float]) -> LashStart:
-    """The start with the vehicle as a window in neutral has reported it."""
+    """The start with the vehicle as a window in neutral has shown it."""
     if not (np.isfinite(vehicle[1:3]).all() and np.isfinite(vehicle.covariance).all()):
         return start
     vehicle = vehicle.at(start.time_us)

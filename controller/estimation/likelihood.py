@@ -20,9 +20,10 @@ Deviance = Callable[[Sequence[float]], float]
 logarithms."""
 
 REACH: Final = 0.5
-"""Distance of the probes from the present value, in standard deviations;"""
+"""Distance of the probes from the present value, in standard deviations."""
 LEAST_REACH: Final = 0.01
-"""in the logarithm, at least, so that the difference is one of the model and not of digits."""
+"""Least distance of the probes, in the logarithm, so that the difference is one of the model and
+not of digits."""
 MOST_STEP: Final = 2.0
 """Longest step to a minimum, in distances of the probes."""
 SWEEPS: Final = 2
@@ -96,12 +97,14 @@ def learn(known: Sequence[Learned], deviance: Deviance, scanned: Sequence[int] =
 
 
 SCAN_SD: Final = 0.12
-"""A figure known better than this is not scanned for;"""
+"""A figure known better than this, by the standard deviation of its logarithm, is not scanned
+for."""
 SCAN_STEP: Final = 0.12
+"""Distance of two values that a scan tries, in the logarithm: 12 %."""
 MOST_SCANNED: Final = 17
+"""A scan has no more steps than this over a figure's range: they are longer instead."""
 REFINED: Final = 3
-"""and this is the distance of two values looked at, 12 %, or this many values of it are; then this
-often more closely around the best."""
+"""After a scan, this often values more closely around the best one are tried."""
 
 
 def _scan(
@@ -150,7 +153,7 @@ def _step(
     curvature = (below - 2.0 * least + above) / (reach * reach)
     if not math.isfinite(curvature):
         return at, least, one.sd
-    # A probe may lie beyond the figure's range: it reports the slope there, and is never taken.
+    # A probe may lie beyond the figure's range: it gives the slope there, and is never taken.
     inside = [probe for probe in ((low, below), (high, above))
               if one.least_log <= probe[0][k] <= one.most_log]  # fmt: skip
     best, found = min(((at, least), *inside), key=lambda tried: tried[1])

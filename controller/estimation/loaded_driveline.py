@@ -36,7 +36,7 @@ MEASUREMENT_US: Final = 4000.0
 FIRST_MEASUREMENTS: Final = 8
 """A line through this many gives angle and speed at the start."""
 LEAST_S: Final = 0.3
-"""It says nothing before it has followed a gear for so long."""
+"""The estimate says nothing before it has followed a gear for so long."""
 LATE_S: Final = 0.1
 """Nor so long after its newest measurement."""
 LEAST_EDGES: Final = 4
@@ -47,15 +47,17 @@ backlash of its mesh."""
 MOST_OFF: Final = 4.0
 """A measurement that is further off, in standard deviations, counts as so far off."""
 LOST: Final = 25.0
-"""Mean square of how far off looks are, in variances, with which it has lost the driveline."""
+"""Mean square of how far off measurements are, in variances, with which it has lost the
+driveline."""
 NIS_KEPT: Final = 0.9
 """Weight of the mean normalised innovation squared so far, against a new one."""
 START_NM: Final = 1000.0
 """What the shafts may carry beyond what the engine says, before anything was seen."""
 START_RAD: Final = 0.02
-"""Standard deviation of the first angle (rad),"""
+"""Standard deviation of the first angle (rad)."""
 START_RAD_S: Final = 0.4
-"""and of the speeds of gear, wheels and vehicle, which are taken to be alike (rad/s)."""
+"""Standard deviation of the first speeds of gear, wheels and vehicle, which are taken to be alike
+(rad/s)."""
 OPEN_NM: Final = 2.0
 """Drag of the clutch's open plates, at the crankshaft."""
 WRONG_S: Final = 0.2
@@ -100,7 +102,7 @@ class BehindState(NamedTuple):
     speed (rad/s) and what hills do to it (rad/s2)."""
 
     mean: Vector
-    """(5,)"""
+    """The five figures above, (5,)."""
     root: Vector
     """A root of their covariance, (5, 5)."""
     half_lash_rad: float

@@ -27,7 +27,7 @@ from meshpoint.controller.jit import compiled, inlined, record_on
 from meshpoint.controller.records import Vector, layout_of
 
 GEAR, GEAR_SPEED, TWIST, WHEELS, TYRE, VEHICLE, HILL, WRONG, VEHICLE_INVERSE = range(9)
-"""theta_G, w_G, v, w_A, y, w_V, g, b, 1 / J_V."""
+"""Rows of the state: `theta_G, w_G, v, w_A, y, w_V, g, b, 1 / J_V`."""
 LOADED_STATES: Final = 9
 LONGEST_S: Final = 1.3e-3
 """A step is no longer: the wheels' mode turns by 0.1 rad in it at 13 Hz."""
@@ -39,11 +39,11 @@ class LoadedModel:
     """What the kernel takes as known, at the propeller shaft."""
 
     geared_kgm2: float
-    """J_G."""
+    """`J_G`."""
     driving_nm: float
-    """u: torque of the engine less drag."""
+    """`u`: torque of the engine less drag."""
     tooth_rad: float
-    """d."""
+    """`d`."""
     shaft_nm_rad: float
     shaft_nms: float
     half_lash_rad: float
@@ -52,17 +52,17 @@ class LoadedModel:
     tyre_nms: float
     relaxation_rad: float
     wrong_nm: float
-    """Standard deviation of b,"""
+    """Standard deviation of `b`."""
     wrong_s: float
-    """and its memory."""
+    """`tau`: memory of `b`."""
     gear_rad2_s3: float
-    """Density of the noise that accelerates G,"""
+    """Density of the noise that accelerates G."""
     wheels_rad2_s3: float
-    """A,"""
+    """Density of the noise that accelerates A."""
     hill_rad2_s5: float
-    """and changes g."""
+    """Density of the noise that changes `g`."""
     fading_s: float
-    """Density of the relative error of r (1/Hz)."""
+    """Density of the relative error of `r` (1/Hz)."""
 
 
 LOADED_MODEL: Final = layout_of(LoadedModel)

@@ -1,4 +1,4 @@
-"""The record of the main shaft's crossing-time filter (`swing_filter`)."""
+"""The memory of the main shaft's crossing-time filter (`swing_filter`)."""
 
 from __future__ import annotations
 

@@ -297,7 +297,7 @@ class WheelTeeth:
         if self._untold < WINDOWS_TO_TELL:
             return None
         self.memory = None
-        return "teeth cannot be determined apart: their old numbers stay unknown"
+        return "teeth cannot be distinguished: their old numbers stay unknown"
 
     def _is_a_stranger_s(self, window: PatternEquations) -> bool:
         """Whether a window was made by another wheel: the learned errors explain it badly, and no

@@ -37,13 +37,15 @@ TURNS: Final = 3
 LONGEST_GAP_US: Final = 60 * MS_IN_US
 """A shaft with a longer time from edge to edge is too slow, or not all of its edges came."""
 MOST_WINDOWS: Final = 6
-"""This many windows are taken in one stretch;"""
+"""Windows that are taken in one stretch at most, while the teeth are not known well."""
 KNOWN_SD_RAD: Final = math.radians(0.03)
-"""of teeth known so well one, with the figures as they are."""
+"""Of teeth known to this standard deviation one window a stretch is taken, with the figures as they
+are."""
 EDGE_TIME, ACCELERATION = range(2)
-"""The figures, in their order."""
+"""Places of the two figures: the standard deviation of an edge's time (s), and that of the
+acceleration (rad/s2)."""
 RANGES: Final = ((1e-6, 2e-4), (0.1, 1e4))
-"""They lie within these."""
+"""Least and greatest value of each figure."""
 TRIED: Final = (
     *((ACCELERATION, factor) for factor in (1.0, 0.25, 0.5, 2.0, 4.0)),
     *((EDGE_TIME, factor) for factor in (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)),
@@ -70,7 +72,7 @@ class TeethInGear:
         """Those of this stretch."""
 
     def lose(self) -> None:
-        """Edges were lost: what has been gathered is released."""
+        """Edges were lost: what has been gathered is dropped."""
         self.pause()
         self._windows.clear()
 

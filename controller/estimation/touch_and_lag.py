@@ -58,9 +58,9 @@ def best_of(deviance: Callable[[float, float], float], known: TouchAndLag) -> To
         gradient, curvature = _paraboloid(deviance, centre)
         if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
             break
-        slope, reported = gradient / (2.0 * CAUTION**2), _reported(curvature) / (2.0 * CAUTION**2)
+        slope, upright = gradient / (2.0 * CAUTION**2), _upright(curvature) / (2.0 * CAUTION**2)
         # (P^-1 + A) d = P^-1 (m - c) - b, times P: a figure that is known for certain has no P^-1.
-        weight = np.eye(2) + prior @ reported
+        weight = np.eye(2) + prior @ upright
         step = np.linalg.solve(weight, known.mean - centre - prior @ slope)
         share = min(1.0, float(np.min(MOST_STEP / np.maximum(np.abs(step), 1e-12))))
         at = np.clip(centre + share * step, 0.0, [MOST_TOUCH_PA, MOST_LAG_S])
@@ -85,7 +85,7 @@ def _paraboloid(deviance: Callable[[float, float], float], at: Vector) -> tuple[
     return gradient, np.array([[bend_pa, mixed], [mixed, bend_s]])
 
 
-def _reported(curvature: Vector) -> Vector:
+def _upright(curvature: Vector) -> Vector:
     """The nearest curvature that is none downwards: a saddle says nothing along its fall."""
     scaled = curvature * np.outer(PROBE, PROBE)
     values, vectors = np.linalg.eigh(scaled)

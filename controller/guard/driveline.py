@@ -32,9 +32,11 @@ PER_CENT: Final = 0.01
 TORQUE_NOISE: Final = 1.5 * PER_CENT
 """A step of the signal, and half a one for rounding."""
 ENGINE_MEASUREMENTS: Final = 6
-"""The engine's acceleration is taken over its last 50 ms,"""
+"""Number of the engine's newest speeds, 10 ms apart, that give its acceleration: that of the last
+50 ms."""
 ACCELERATION_NOISE_RAD_S2: Final = 3.0
-"""with this error: the combustion's ripple, and what changes within that time."""
+"""Error of that acceleration (rad/s2): the combustion's ripple, and what changes within that
+time."""
 SPEED_BYTES: Final = slice(1, 3)
 SPEED_STEP_RAD_S: Final = 0.125 * math.pi / 30.0
 MODE_BITS: Final = 0x03

@@ -51,9 +51,10 @@ class GuardLimits:
     main: dict[int, MainValve]
     """Main-box valves by their number in the valve frame."""
     split_ratio: dict[int, float]
-    """omega_layshaft / omega_input by the splitter sleeve's side, -1 low, +1 high."""
+    """Speed of the layshaft over that of the input shaft, by the splitter sleeve's side: -1 low, +1
+    high."""
     range_ratio: dict[int, float]
-    """omega_propeller / omega_main by the range sleeve's side."""
+    """Speed of the propeller shaft over that of the main shaft, by the range sleeve's side."""
     contact_m: float
     sleeve_delay_us: float
     sleeve_valve_us: float

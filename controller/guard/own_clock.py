@@ -16,9 +16,11 @@ SECOND: Final = 1_000_000
 SECONDS_KEPT: Final = 6
 """Seconds in which stamps were heard: in silence nothing is forgotten."""
 RESTARTED_US: Final = 500_000
-"""A stamp so far from where the clock should be is that of another clock, unless it only comes
-late: then it goes on from the newest by no more than"""
+"""A stamp so far from where the clock should be is that of another clock, unless it only comes late
+(`GOES_ON_US`)."""
 GOES_ON_US: Final = 100_000
+"""A stamp comes only late if it is behind where the clock should be, but no further ahead of the
+newest one than this."""
 BACK_US: Final = 20_000
 """A stamp so far behind the newest is that of another clock too. A frame that only waited for the
 bus does no harm: the next one that did not wait gives the least again."""
@@ -37,9 +39,9 @@ class GuardClock:
 
     def __init__(self) -> None:
         self._least: deque[tuple[int, int]] = deque(maxlen=SECONDS_KEPT)
-        """Each second of the controller's clock, and its least offset;"""
+        """Each second of the controller's clock, and its least offset."""
         self._offset: int | None = None
-        """the least of them all, None without any."""
+        """The least offset of all seconds kept; None without any."""
         self._newest_us: int | None = None
 
     def restart(self) -> None:

@@ -17,9 +17,10 @@ MEASURED_US: Final = 15_000
 UNLIKE: Final = 1.7
 """Neighbouring teeth never differ by more than this factor: else one is missing or too many."""
 NO_EDGE_US: Final = 20_000
-"""In a frame: with an older edge, and older than three teeth took, the sensor is dead."""
+"""A sensor whose newest edge in a frame is older than this, and older than three teeth took, is
+dead."""
 NO_FRAME_US: Final = 25_000
-"""The same without frames."""
+"""A sensor without a frame for so long is dead."""
 LATE_TEETH: Final = 3
 HELD_US: Final = 45_000
 """So long an earlier speed stands in for frames with a tooth missing or too many."""

@@ -41,7 +41,7 @@ AGREE_US: Final = 100_000
 AGREE_RAD_S: Final = 0.15
 """If the mean slip is below this (1.4 rpm) in both intervals, gear and sleeve turn as one."""
 TURNING_RAD_S: Final = 10.0
-"""Below this layshaft speed the ratios of the gears cannot be determined apart."""
+"""Below this layshaft speed the ratios of the gears cannot be distinguished."""
 CLUTCH_GAP_US: Final = 25_000
 """Samples of the clutch further apart say nothing of its speed."""
 NO_ENGINE: Final = Engine(None, None)

@@ -68,11 +68,11 @@ class Model:
     """How a shaft is taken to move."""
 
     friction_per_s: float
-    """a: viscous friction over inertia."""
+    """`a`: viscous friction over inertia."""
     brake_rad_s2_pa: float
-    """g: deceleration by the brake's pressure."""
+    """`g`: deceleration by the brake's pressure."""
     fading_per_s: float
-    """b_d: rate at which a disturbance is forgotten."""
+    """`b_d`: rate at which a disturbance is forgotten."""
     law: Annotated[Records[LawSegment], 2, SEGMENTS]
     """[u, i]: the i-th segment with the valve off (u = 0) or on, rising in pressure."""
     disturbance_rad2_s5: float
@@ -191,7 +191,7 @@ def spread_over(
     p: Vector, dt: float, step: MotionStep, model: Model, gain: float, noise_scale: float
 ) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; step: that of
-    `transition` over the same time; gain: that of the brake; noise scale: what the noises of the
+    `transition` over the same time; gain: that of the brake; noise_scale: what the noises of the
     accelerations are multiplied by.
 
     Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt)

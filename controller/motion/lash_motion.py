@@ -30,7 +30,7 @@ from meshpoint.controller.jit import DISABLED, bare, inlined
 from meshpoint.controller.records import Vector
 
 ANGLE, SPEED, DRAG, WAY, WHEELS, TYRE, VEHICLE, HILL, STIFF, LOSS, HALF, TYRE_STIFF = range(12)
-"""theta, w, a, z, w_A, y, w_V, g, k, c, h, c_t."""
+"""Rows of a cloud: `theta, w, a, z, w_A, y, w_V, g, k, c, h, c_t`."""
 ROWS: Final = 12
 LONGEST_S: Final = 1.3e-3
 """A step is no longer: the shafts' mode turns by 0.37 rad in it at 45 Hz."""
@@ -44,11 +44,11 @@ class LashModel(NamedTuple):
     """What of the driveline is taken as known, the same for all."""
 
     wheels_share: float
-    """m."""
+    """`m`: inertia of P over that of A."""
     tyre_per_s: float
-    """d_t: damping of the tyres' carcass over the inertia of A."""
+    """`d_t`: damping of the tyres' carcass over the inertia of A."""
     fading_per_s: float
-    """r."""
+    """`r`: speed over the relaxation length of the tyres."""
 
 
 def move(x: Vector, seconds: float, model: LashModel) -> None:

@@ -22,9 +22,9 @@ TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
 PLACES: Final[Vector] = np.arange(float(STEPS))
 _TIMES: Final[list[float]] = TIMES.tolist()
 MOST_TICKS: Final = 8
-"""What will be known is worked out for this many ticks,"""
+"""What will be known is worked out for at most this number of ticks."""
 COMPARED: Final = 60
-"""by this many of the drivelines."""
+"""Number of drivelines by which it is worked out."""
 LEAST_SD_RAD: Final = math.radians(0.1)
 """An angle ahead is never known better: teeth and bearings."""
 MOST_SURE: Final = 0.9999
@@ -36,9 +36,9 @@ class Chance(NamedTuple):
     """Accelerations of chance that last for a while (Ornstein-Uhlenbeck)."""
 
     rad2_s3: float
-    """Their density at low frequencies, 2 sigma^2 tau,"""
+    """Their density at low frequencies, 2 sigma^2 tau."""
     memory_s: float
-    """and tau."""
+    """Their memory tau."""
 
     def theta_rad2(self, wait_s: Vector) -> Vector:
         """Variance of an angle after some time:
@@ -82,9 +82,9 @@ class LashTrajectory:
         self._nis = nis
         self._widest_rad = float(np.ptp(self._angle))
         self._merged = np.full((3, STEPS), np.nan)
-        """Angle, speed and standard deviation at each step, where that was asked for; and"""
+        """Angle, speed and standard deviation at each step where that was asked for."""
         self._is_merged = [False] * STEPS
-        """whether it was: few are, of a trajectory by which no sleeve is fired."""
+        """Whether `_merged` holds a step: few, of a trajectory by which no sleeve is fired."""
         self.since_s = 0.0
         """Now, on the trajectory's own time."""
         self._shapes: list[Vector] = []
@@ -172,13 +172,13 @@ class LashTrajectory:
         possible then; of these the share within half a gap of it will be the probability."""
         angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
         own = self._own_variance(TIMES)
-        reported = self._p[0, 0] + LEAST_SD_RAD**2
+        known = self._p[0, 0] + LEAST_SD_RAD**2
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
         # One row of NumPy's after the other: along the first axis it takes three times as long.
         widest = list(accumulate(_apart(angle[: then[-1] + 1]), np.maximum))
         most = np.array([widest[place] for place in then.tolist()])
-        weights = np.exp(-0.25 * most**2 / reported)
+        weights = np.exp(-0.25 * most**2 / known)
         weights /= weights.sum(axis=2, keepdims=True)
         near = _apart(angle[later]) < self._half_gap_rad
         shares = (weights * near).sum(axis=2).mean(axis=1)

@@ -31,13 +31,13 @@ class Linear:
     """The model's parameters."""
 
     friction_per_s: float
-    """a."""
+    """`a`: viscous friction over inertia."""
     brake_per_s: float
-    """b: one over the brake's time constant."""
+    """`b`: one over the brake's time constant."""
     brake_rad_s2_pa: float
-    """g."""
+    """`g`: deceleration by the brake's pressure."""
     supply_pa: float
-    """K."""
+    """`K`: the pressure that the brake's tends to with the valve on."""
 
 
 class Hold:
@@ -80,9 +80,9 @@ class CruiseFilter:
     p: Annotated[Vector, 2, 2]
     """Its covariance."""
     acceleration_rad_s2: float
-    """sd of the acceleration that drives it."""
+    """Standard deviation of the acceleration that drives it."""
     edge_time_s: float
-    """sd of an edge's time."""
+    """Standard deviation of an edge's time."""
 
 
 LINEAR: Final = layout_of(Linear)

@@ -47,7 +47,8 @@ class LayshaftState(NamedTuple):
     covariance: Vector | None = None
     """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
     edge_rad2_s: float = 0.0
-    """Variance of an edge's angle times the time from edge to edge, where the estimator reports."""
+    """Variance of an edge's angle times the time from edge to edge, where the estimator gives
+    it."""
 
     @property
     def is_finite(self) -> bool:
@@ -112,9 +113,9 @@ class Disturbance(NamedTuple):
     """The torques at the layshaft that its model leaves out."""
 
     torque_nm: float
-    """Their standard deviation,"""
+    """Their standard deviation."""
     memory_s: float
-    """and how long such a torque lasts."""
+    """How long such a torque lasts."""
 
     def density(self, inertia_kgm2: float) -> tuple[float, float]:
         """Rate at which its acceleration is forgotten, and density of the noise that drives it."""
@@ -223,14 +224,14 @@ def ahead(
     switches: Vector,
     model: MotionModel,
 ) -> LayshaftState:
-    """The record of a filter's state and covariance at a time, gone on with to another."""
+    """The layshaft at another time, by a filter's state and covariance at this one."""
     x, p = x.copy(), p.copy()
     forecast(x, p, float(time_us), float(to_us), switches, model.flat)
     return state_of(x, p, to_us)
 
 
 def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
-    """The record of a filter's state and covariance."""
+    """The layshaft by a filter's state and covariance."""
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
     sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]

@@ -75,7 +75,7 @@ class SwingStep:
     theta_by: Annotated[Vector, SWING_STATES]
     omega_by: Annotated[Vector, SWING_STATES]
     blocks: Annotated[Vector, MODES, 4]
-    """e (c + d s), e s, -w^2 e s, e (c - d s) of each mode."""
+    """Of each mode: `e (c + d s), e s, -w^2 e s, e (c - d s)`."""
     noise: Annotated[Vector, MODES, 3]
     """Variances that each mode's noise has added: of its angle, of both, of its speed."""
     work: Annotated[Vector, SWING_STATES, SWING_STATES]
@@ -132,7 +132,7 @@ def swing_on(state: SwingState, step: SwingStep) -> None:
 def swing_spread(
     p: Vector, dt: float, step: SwingStep, model: SwingModel, noise_scale: float
 ) -> None:
-    """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; noise scale: what
+    """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; noise_scale: what
     the noise of the shaft's acceleration is multiplied by."""
     work = step.work
     for j in range(SWING_STATES):

@@ -1,9 +1,9 @@
-"""Where the gap of a gear lies, by all measurements at its tooth in mesh: Bayes' rule on a grid.
+"""Where the gap of a gear lies, by all measurements of its tooth in mesh: Bayes' rule on a grid.
 
 In mesh a tooth is somewhere in its gap, most of the time at one of the two flanks, whichever the
 torque presses it to. On a driveline that swings it changes flanks again and again and never lies
-still for long, but the looks at it pile up at two phases one backlash apart. The density of a
-measurement at phase phi from the middle of the gap, b the backlash:
+still for long, but the measurements of it pile up at two phases one backlash apart. The density of
+a measurement at phase phi from the middle of the gap, b the backlash:
 
     p(phi) = (1 - e) (f/2 N(phi - b/2) + f/2 N(phi + b/2) + (1 - f) U(|phi| < b/2) * N) + e / pitch
 
@@ -29,17 +29,18 @@ with none it is too vague."""
 AT_FLANK: Final = 0.6
 ASTRAY: Final = 0.02
 INDEPENDENT: Final = 0.25
-"""Looks follow each other every 10 ms, sooner than a tooth moves on: this many of them tell
-something of their own."""
+"""Weight of one measurement: they follow each other every 10 ms, sooner than a tooth moves on, so
+that only one in four adds something of its own."""
 NEAR_SHARE: Final = 0.3
-"""Middles within this of the likeliest one, in backlashes, are the same;"""
+"""Middles within this of the likeliest one, in backlashes, are the same."""
 CERTAIN: Final = 0.97
-"""and known where this much of the probability lies there."""
+"""The middle is known where this much of the probability lies at the likeliest one."""
 BEYOND_SD: Final = 1.2
 """A measurement lies outside the gap when it is further from a flank than this, in its standard
-deviations,"""
+deviations."""
 MOST_OUTSIDE: Final = 0.1
-"""and where more of them do, the gap cannot be there. Of looks at a flank 12 % do by chance."""
+"""Where more than this share of the measurements lie outside, the gap cannot be there. Of
+measurements at a flank 12 % do by chance."""
 
 
 class GapMiddle(NamedTuple):
@@ -51,7 +52,7 @@ class GapMiddle(NamedTuple):
 
 
 class GapPosterior:
-    """What the looks at one gear tell of the middle of its gap."""
+    """What the measurements at one gear show of the middle of its gap."""
 
     def __init__(self, pitch_rad: float, backlash_rad: float) -> None:
         self._pitch_rad, self._backlash_rad = pitch_rad, backlash_rad
@@ -61,7 +62,7 @@ class GapPosterior:
         self._log_densities = [self._log_density(share) for share in MEASUREMENT_SHARES]
         self._log: Vector = np.zeros(CELLS)
         self._measurements = np.zeros((len(MEASUREMENT_SHARES), CELLS))
-        """How many looks of each standard deviation there were in each cell."""
+        """How many measurements of each standard deviation there were in each cell."""
 
     def _log_density(self, share: float) -> Vector:
         density = [self._density(phase, share) for phase in self._away.tolist()]
@@ -78,14 +79,14 @@ class GapPosterior:
         return (1.0 - ASTRAY) * inside + ASTRAY / self._pitch_rad
 
     def measure(self, raw_rad: float, sd_rad: float) -> None:
-        """One look at the gear in mesh: its raw phase and standard deviation."""
+        """One measurement at the gear in mesh: its raw phase and standard deviation."""
         share = sd_rad / self._backlash_rad
         if share > MEASUREMENT_SHARES[-1]:
             return
         kind = next(k for k, largest in enumerate(MEASUREMENT_SHARES) if share <= largest)
         cell = round(raw_rad / self._pitch_rad * CELLS) % CELLS
         self._measurements[kind, cell] += 1.0
-        # A middle in cell k explains the look by the density of its distance from there; the
+        # A middle in cell k explains the measurement by the density of its distance from there; the
         # density is the same on either side.
         self._log += np.roll(self._log_densities[kind], cell)
 
@@ -104,6 +105,6 @@ class GapPosterior:
         return GapMiddle(best * self._pitch_rad / CELLS + off, math.sqrt(variance))
 
     def _outside(self, away: Vector) -> float:
-        """How many looks lie outside a gap from whose middle the cells are so far away."""
+        """How many measurements lie outside a gap from whose middle the cells are so far away."""
         reach = self._backlash_rad * (0.5 + BEYOND_SD * np.array(MEASUREMENT_SHARES))
         return float(self._measurements[np.abs(away) > reach[:, np.newaxis]].sum())

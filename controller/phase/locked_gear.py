@@ -20,12 +20,12 @@ from meshpoint.units import US
 PULL_RAD_S2 = 5.0
 """Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
 MEASUREMENT_US = 10_000
+"""Time from one measurement to the next."""
 MEASUREMENTS_PULLED = 8
-"""The looks in which the main shaft's acceleration is watched, and the time from each to the
-next."""
+"""Number of newest measurements over which the main shaft's acceleration is watched."""
 MEASUREMENT_SHARE = 0.15
 """Largest standard deviation of a measurement at a gear in mesh, in backlashes, for which the two
-flanks can be determined apart."""
+flanks can be distinguished."""
 
 
 class LockedGear:
@@ -60,8 +60,8 @@ class LockedGear:
         coasting_rad_s2: float | None,
         events: list[str],
     ) -> None:
-        """One look. coasting_rad_s2: by how much the layshaft's drag slows it down; None where the
-        clutch bites."""
+        """One measurement. coasting_rad_s2: by how much the layshaft's drag slows it down; None
+        where the clutch bites."""
         references, recovery = self._references, self._recovery
         sd_rad = self._phase_sd_rad(gear, layshaft, main)
         references.see(gear, layshaft.theta_rad, main.theta_rad, sd_rad)

@@ -9,9 +9,8 @@ between counted angles and phase follows once it is known which flank.
   in; in a gearbox where teeth have been observed to move, where the layshaft's drag pulls it.
 - With very little torque a tooth floats. Its lowest and highest phase between lock and release then
   bound the gap, which is as wide as that range or slightly wider.
-- On a driveline that swings a tooth goes from flank to flank. Then all measurements together tell
-  where
-  the gap is (`gap_posterior`).
+- On a driveline that swings a tooth goes from flank to flank. Then all measurements together show
+  where the gap is (`gap_posterior`).
 
 An observation of the phase of a gear in mesh is called a measurement. Counting teeth keeps the
 reference exact; it is lost when the count of either wheel is lost.
@@ -29,29 +28,32 @@ from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 
 STILL_MEASUREMENTS = 5
-"""Looks, one every 10 ms, during which a tooth that has crossed its gap must then lie still."""
+"""Measurements, one every 10 ms, during which a tooth that has crossed its gap must then lie
+still."""
 STILL_SHARE = 0.05
-"""A tooth lies still if the standard deviation of its looks is below this, in backlashes."""
+"""A tooth lies still if the standard deviation of its measurements is below this, in backlashes."""
 CROSSED_SHARE = 0.85
 MOVED_SHARE = 0.3
 STAYED_SHARE = 0.2
 """Distances moved, in backlashes: above the first a tooth has crossed its gap, above the second it
 has moved, below the third it has not moved."""
 NEAR_SHARE = 0.1
-"""Earlier looks this close to where the tooth lies, in backlashes, enter its mean phase."""
+"""Earlier measurements this close to where the tooth lies, in backlashes, enter its mean phase."""
 GAP_SHARE = 1.25
 """A measurement farther away than this, in backlashes, is wrong: the gap is not that wide."""
 MOVED_MEASUREMENTS = 16
-"""Still looks required of a tooth that started inside the gap: it may also stop there and
+"""Still measurements required of a tooth that started inside the gap: it may also stop there and
 reverse."""
 UNMOVED_MEASUREMENTS = 20
-"""After this many looks without a move the tooth lies where the slip at contact carried it."""
+"""After this many measurements without a move the tooth lies where the slip at contact carried
+it."""
 PULLED_MEASUREMENTS = 6
-"""Still looks under drag alone: longer than a tooth needs to reverse inside its gap."""
+"""Still measurements under drag alone: longer than a tooth needs to reverse inside its gap."""
 FLOATED_MEASUREMENTS = 3
-"""Consecutive looks that together give one position of a floating tooth,"""
+"""Number of consecutive measurements that together give one position of a floating tooth."""
 FLOATED_SHARE = 0.2
-"""if they are within this distance, in backlashes: an impact disturbs single looks."""
+"""They do only if they lie within this distance, in backlashes: an impact disturbs single
+measurements."""
 LEAST_SPAN, MOST_SPAN = 0.8, 1.1
 """Range of a floating tooth's positions, in backlashes, from which the gap is determined: its
 middle is then wrong by a tenth of the backlash at most."""
@@ -92,10 +94,10 @@ class _Learning:
     """Whether the sleeve went straight in, so that the tooth cannot have left its flank before."""
     seen: list[float] = field(default_factory=list)
     pulled: int = 0
-    """Number of newest consecutive looks during which drag alone pulled the tooth to the lower
-    flank."""
+    """Number of newest consecutive measurements during which drag alone pulled the tooth to the
+    lower flank."""
     done: bool = False
-    """Its constant has been found; looks go on, to see the whole gap."""
+    """Its constant has been found; measurements go on, to see the whole gap."""
 
     def add(self, raw_rad: float, pitch_rad: float, pulled: bool) -> None:
         """Adds a measurement: raw phase (rad), unwrapped to lie within half a pitch of the
@@ -130,7 +132,7 @@ class _Learning:
         return self.flank, mean
 
     def stayed(self, backlash_rad: float) -> bool:
-        """Whether no look of a long series differs: the tooth has not moved."""
+        """Whether no measurement of a long series differs: the tooth has not moved."""
         near = STAYED_SHARE * backlash_rad
         return (
             len(self.seen) >= UNMOVED_MEASUREMENTS and max(self.seen) - min(self.seen) < 2.0 * near
@@ -139,7 +141,7 @@ class _Learning:
     def moved_share(self, mean: float, backlash_rad: float) -> float | None:
         """Signed distance that the tooth has moved to where it lies, in backlashes; 0 if it has not
         moved, None if it has been on both sides. Median filtered: an impact disturbs single
-        looks."""
+        measurements."""
         away = [(measurement - mean) / backlash_rad for measurement in self.seen]
         smooth = [sorted(away[k - 1 : k + 2])[1] for k in range(1, len(away) - 1)]
         possible = [share for share in smooth if abs(share) < GAP_SHARE]
@@ -153,7 +155,8 @@ class _Learning:
         return None
 
     def floated(self, backlash_rad: float) -> tuple[float, float] | None:
-        """Lowest and highest raw phase (rad) of the tooth; None without enough quiet looks."""
+        """Lowest and highest raw phase (rad) of the tooth; None without enough quiet
+        measurements."""
         runs = [
             self.seen[k : k + FLOATED_MEASUREMENTS]
             for k in range(len(self.seen) - FLOATED_MEASUREMENTS + 1)
@@ -194,7 +197,7 @@ class PhaseReferences:
         self._floated_rad: dict[MainGear, tuple[float, float]] = {}
         """Lowest and highest raw phase (rad) of floating teeth, by gear."""
         self._gaps: dict[MainGear, GapPosterior] = {}
-        """What all measurements at a gear tell of where its gap is."""
+        """What all measurements at a gear show of where its gap is."""
         self._likely_rad: dict[MainGear, float] = {}
         """Constants that are valid if teeth of this gearbox stay where the slip carried them."""
 
@@ -203,8 +206,8 @@ class PhaseReferences:
         return gear in self._offset_rad
 
     def sd_rad(self, gear: MainGear) -> float:
-        """Standard deviation (rad) of a gear's constant, by the scatter of the looks it was learned
-        from; 0 where it was learned in another way."""
+        """Standard deviation (rad) of a gear's constant, by the scatter of the measurements it was
+        learned from; 0 where it was learned in another way."""
         return self._sd_rad.get(gear, 0.0)
 
     def phase_rad(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> float:
@@ -223,7 +226,7 @@ class PhaseReferences:
         self._learning = _Learning(gear, flank, straight)
 
     def watches(self, gear: MainGear) -> bool:
-        """Whether this gear's reference is being learned, so that looks are wanted."""
+        """Whether this gear's reference is being learned, so that measurements are wanted."""
         learning = self._learning
         return (
             learning is not None
@@ -238,7 +241,8 @@ class PhaseReferences:
         return self._learning
 
     def see(self, gear: MainGear, theta_layshaft: float, theta_main: float, sd_rad: float) -> None:
-        """One look at the gear in mesh, however vague: it counts by its standard deviation."""
+        """One measurement at the gear in mesh, however vague: it counts by its standard
+        deviation."""
         dog = self._sheet.dog
         if gear not in self._gaps:
             self._gaps[gear] = GapPosterior(dog.pitch_rad, dog.backlash_rad)
@@ -248,8 +252,8 @@ class PhaseReferences:
     def watch(
         self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool = False
     ) -> bool:
-        """One look at the gear in mesh; `pulled`: drag alone pulls its teeth, hard enough to cross
-        the gap within a few measurements. True when its reference has just been stored."""
+        """One measurement at the gear in mesh; `pulled`: drag alone pulls its teeth, hard enough to
+        cross the gap within a few measurements. True when its reference has just been stored."""
         learning = self._learning
         if learning is None or learning.gear is not gear:
             return False

@@ -43,8 +43,8 @@ LEARNED_SD_RAD: Final = math.radians(0.1)
 (docs/calibration.md)."""
 AGREES_SDS: Final = 4.0
 LEAST_FREE_SHARE: Final = -0.1
-"""Least free play, in backlashes, of a floating tooth: below it the looks were wrong, since a tooth
-cannot move by more than the backlash."""
+"""Least free play, in backlashes, of a floating tooth: below it the measurements were wrong, since
+a tooth cannot move by more than the backlash."""
 MOST_COUNTED: Final = 1000
 """Largest number of candidate turns of the layshaft that a sensor's count may leave."""
 

@@ -32,9 +32,9 @@ class TurnSet(NamedTuple):
     """All N that are still possible; gears are those whose reference is remembered."""
 
     moduli: Mapping[MainGear, int]
-    """n of each gear."""
+    """The modulus n of each gear."""
     shared: Mapping[MainGear, int]
-    """c of each gear: `turns` determines its residue modulo c."""
+    """The modulus c of each gear: `turns` determines its residue modulo c."""
     turns: frozenset[int]
     """N modulo the lcm of `shared`, or N itself where it is bounded."""
     residues: Mapping[MainGear, frozenset[int]]
@@ -46,8 +46,8 @@ class TurnSet(NamedTuple):
         if gear not in self.moduli:
             return frozenset()
         c = self.shared[gear]
-        reported = {turn % c for turn in self.turns}
-        return frozenset(r for r in self.residues[gear] if r % c in reported)
+        possible = {turn % c for turn in self.turns}
+        return frozenset(r for r in self.residues[gear] if r % c in possible)
 
     @property
     def empty(self) -> bool:
@@ -78,8 +78,8 @@ def narrowed(turns: TurnSet, gear: MainGear, agrees: Callable[[int], bool]) -> T
 
     agrees: whether a residue N modulo n of the gear agrees with it."""
     left = frozenset(r for r in turns.candidates(gear) if agrees(r))
-    reported = {r % turns.shared[gear] for r in left}
-    kept = frozenset(turn for turn in turns.turns if turn % turns.shared[gear] in reported)
+    possible = {r % turns.shared[gear] for r in left}
+    kept = frozenset(turn for turn in turns.turns if turn % turns.shared[gear] in possible)
     return turns._replace(turns=kept, residues={**turns.residues, gear: left})
 
 

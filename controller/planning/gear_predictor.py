@@ -138,7 +138,7 @@ class GearPredictor:
         scaled: Vector = self._main_share**2 * self.main.variances(first_us, step_us, count)
         return scaled + layshaft
 
-    def reported_variances(
+    def known_variances(
         self, first_us: float, step_us: float, count: int, now_us: int, measurement: LastMeasurement
     ) -> Vector:
         """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's

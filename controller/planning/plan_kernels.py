@@ -35,9 +35,9 @@ class Meeting:
     reference_rad: float
     """Phase reference."""
     main_us: float
-    """Time of the main shaft's state,"""
+    """Time of the main shaft's state."""
     drift_rad_s: float
-    """from which on the slip drifts from the model's, as was learned."""
+    """Learned: by how much the slip exceeds the model's prediction, from `main_us` on."""
 
 
 class ContactSeries:

@@ -1,4 +1,4 @@
-"""The record of the edge gate (`gate_kernels`), and its tuning constants."""
+"""The memory of the edge gate (`gate_kernels`), and its tuning constants."""
 
 from __future__ import annotations
 
@@ -121,7 +121,8 @@ MOST_REJECTED: Final = 60
 LONG: Final = 2.0
 """At the least speed, a wheel may stop within this many pitches."""
 FOLLOW, FOLLOW_RATE, MOST_ERROR = 0.6, 0.3, 0.15
-"""alpha, beta, and the largest error that moves the speed."""
+"""Of the alpha-beta filter of an edge's place: alpha, beta, and the largest error that moves the
+speed (pitches)."""
 MOST_DRAGGED: Final = 0.4
 """The same in a shaft that is dragged, by over 2,000 rad/s2: its speed is that of the last edge."""
 LONGEST_WAIT: Final = 1.5
@@ -135,7 +136,7 @@ DUTY_SHARE: Final = 0.02
 
 
 class GateMemory(RecordMemory):
-    """A gate's record, and those of its parts that are asked for often; all are views."""
+    """A gate's memory, and those of its parts that are asked for often; all are views."""
 
     def __init__(self) -> None:
         super().__init__(GATE)

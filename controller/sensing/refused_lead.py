@@ -27,7 +27,7 @@ class RefusedLead:
         """How much earlier activations are to be sent."""
 
     def take(self, status: ValveStatus | None, now_us: int) -> bool:
-        """The newest status of the valves; returns whether it says of a refusal since the one
+        """The newest status of the valves; returns whether it shows a refusal since the one
         before."""
         if self.more_us and now_us - self._refused_us > KEPT_US:
             self.more_us = 0

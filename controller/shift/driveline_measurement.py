@@ -11,7 +11,7 @@ import numpy as np
 from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.swing_fit import EngineTrajectory, Known, SwingFit, fit_swing
-from meshpoint.controller.shift.unloading import REPORTED_SD, GearedBodies
+from meshpoint.controller.shift.unloading import DISTINCT_SDS, GearedBodies
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import US
@@ -45,7 +45,7 @@ class DrivelineMeasurement:
             self._open_sd,
         )
         self.learned = self.known
-        """The same after the ramp under way."""
+        """What is known of the driveline after the ramp under way."""
         self.pressed_nm = 0.0
         """About what the ramp under way leaves in the shafts, at the propeller shaft: above 0 at
         the flank of drive, below at that of coast; 0 where it could not be distinguished from
@@ -120,10 +120,10 @@ class DrivelineMeasurement:
         self.learned = self.known
 
     def press(self, pulled_nm: float, doubt_nm: float, harmless_nm: float) -> None:
-        """What the shafts carry as a ramp begins, and its error: it reports their flank. What the
-        ramp leaves there is what may be left, and what cannot be determined."""
-        reported = abs(pulled_nm) > REPORTED_SD * doubt_nm
-        left_nm = math.hypot(harmless_nm, doubt_nm) if reported else 0.0
+        """What the shafts carry as a ramp begins, and its error: they show the flank. What the
+        ramp leaves there is what may be left, and what cannot be distinguished from none."""
+        is_pressed = abs(pulled_nm) > DISTINCT_SDS * doubt_nm
+        left_nm = math.hypot(harmless_nm, doubt_nm) if is_pressed else 0.0
         self.pressed_nm = math.copysign(left_nm, pulled_nm)
 
     def torque_sd_nm(self, engine_rad_s2: float) -> float:

@@ -53,7 +53,7 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if _is_refused(context, snapshot):
         return recall(context)
     if shift.measured_contact_us is None:
-        _measurement_for_contact(context, snapshot)
+        _measure_contact(context, snapshot)
     if snapshot.view.main_gear is gear:
         side = SLEEVE_OF_MAIN[gear]
         seen_us = snapshot.view.engaged_us(side.sleeve, side.direction)
@@ -110,7 +110,7 @@ def recall(context: ShiftContext) -> Trigger:
     return Trigger.BLOCKED
 
 
-def _measurement_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
+def _measure_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
     shift = context.running
     side = SLEEVE_OF_MAIN[shift.target.main]
     crossing = snapshot.view.contact_us(side.sleeve, side.direction)

@@ -15,7 +15,7 @@ RINGS_RAD_S: Final = 0.25
 7 rpm from peak to peak): that moves a gear's tooth against its sleeve by half a gap within 45 ms.
 Errors of the sensor wheel's teeth are 0.1 rad/s."""
 LEAST_MEASUREMENTS: Final = 6
-"""Looks, one a step, from which a line can be distinguished from a swing."""
+"""Measurements, one a step, from which a line can be distinguished from a swing."""
 FREE_STATES: Final = frozenset({State.SYNCHRONISING, State.COASTING})
 
 
@@ -40,7 +40,7 @@ class DrivelineRings:
         self._measurements.clear()
 
     def _swing_rad_s(self) -> float:
-        """Standard deviation about the straight line that suits the looks best."""
+        """Standard deviation about the straight line that suits the measurements best."""
         time_us, speed = np.array(self._measurements).T
         time_s = 1e-6 * (time_us - time_us[0])
         line = np.column_stack((np.ones_like(time_s), time_s))

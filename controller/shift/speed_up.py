@@ -20,9 +20,9 @@ from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 
 SHORT_RAD_S: Final = 1.0
-"""The slip may be this much less than asked for (10 rpm),"""
+"""The slip may be this much less than asked for (10 rpm)."""
 OVER_RAD_S: Final = 3.0
-"""or this much more: the brake removes the surplus."""
+"""The slip may be this much more than asked for (30 rpm): the brake removes the surplus."""
 BEYOND_US: Final = 300 * MS_IN_US
 """For this long the speed that a gear needs may be above the input shaft's limit: a main shaft that
 swings comes back, a vehicle that rolls downhill does not."""

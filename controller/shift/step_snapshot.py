@@ -44,6 +44,6 @@ class StepSnapshot:
     engine_rad_s: float | None = None
     """The engine's speed in this step's newest frame; None without one."""
     engine_torque_share: float | None = None
-    """Its torque there, as a share of its reference torque,"""
+    """Its torque there, as a share of its reference torque; None without one."""
     engine_torque_step: float = 0.01
-    """and the step in which it is reported."""
+    """The step in which that torque is reported."""

@@ -25,7 +25,7 @@ REACH_SD: Final = 2.0
 LEAST_SPEED_SD: Final = 0.1
 """Least error of the engine's speed against this model (rad/s): ripple and torque of chance."""
 LEAST_SHARE: Final = 1e-12
-"""Keeps the equations solvable where two columns cannot be determined apart."""
+"""Keeps the equations solvable where two columns cannot be distinguished."""
 CORRELATED: Final = 4.0
 """An error lasts for this many measurements: 40 ms."""
 
@@ -76,7 +76,8 @@ def fit_swing(
     omegas = np.sqrt(square * np.exp(logs))
     sd = LEAST_SPEED_SD / ratio
     first = _scan(trajectory, engine_kgm2, known, omegas, sd)
-    # What the model leaves out lasts longer than from look to look: errors are larger, and fewer.
+    # What the model leaves out lasts longer than from one measurement to the next: errors are
+    # larger, and fewer.
     sd *= math.sqrt(CORRELATED * max(1.0, float(first.deviances.min()) / len(trajectory.time_s)))
     deviances, found = _scan(trajectory, engine_kgm2, known, omegas, sd)
     weights = np.exp(-0.5 * (deviances - deviances.min()))

@@ -29,9 +29,9 @@ BESIDE_SHARE: Final = 0.005
 """The guard allows for a step of the torque, a per cent, and rounding; half of a step is taken by
 `owed_share`."""
 BEFORE: Final = 1.0
-"""This many periods before the ramp are looked at with it."""
+"""This many periods of the shafts' swing before the ramp are looked at with it."""
 LEAST_BEFORE_US: Final = 400 * MS_IN_US
-"""but so long at least."""
+"""At least so long before the ramp is looked at with it."""
 MOST_LATE: Final = 1.5
 """A step is put off for no more than this many half periods after the last."""
 

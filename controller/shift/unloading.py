@@ -29,7 +29,7 @@ SHAPES: Final = ((1.0,), (0.5, 0.5), (0.25, 0.5, 0.25))
 THROWN_SHARE: Final = 1.0 / 3.0
 """What is left may throw the main shaft off its flank so fast that it turns by this share of the
 dog teeth's backlash while a sleeve is on its way."""
-REPORTED_SD: Final = 2.0
+DISTINCT_SDS: Final = 2.0
 """A torque of the shafts is distinguished from none where it is this many times as large as its
 error."""
 
@@ -157,7 +157,7 @@ def unloading(
     left_nm = bodies.coasting_nm(coasting_rad_s2)
     doubt_nm = bodies.ratio * own_sd_nm
     away_nm = abs(pulled_nm) + doubt_nm
-    if abs(pulled_nm) < max(REPORTED_SD * doubt_nm, bodies.harmless_nm):
+    if abs(pulled_nm) < max(DISTINCT_SDS * doubt_nm, bodies.harmless_nm):
         # Nothing that could be distinguished from none: the shafts are as much at rest as they can
         # be.
         return [Unloading(bodies, own_nm, own_nm, SHAPES[0], 0.0, 1, now_us, now_us)]

@@ -30,7 +30,7 @@ from meshpoint.testbench.results.output import folder_for
 POLL_S: Final = 0.02
 MOST_POLL_S: Final = 1.0
 SHIFT_LIMIT_US: Final = 6 * PATIENCE_US
-"""The operator is patient for so long in each of its phases."""
+"""The operator is patient for so long in each of its stages."""
 
 
 class LiveBench(Watching):

@@ -23,8 +23,8 @@ from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
 from meshpoint.testbench.results.monitor import RowMonitor
-from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_parts import PARTS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -179,7 +179,7 @@ def _column(pa: Any, field: FieldSpec, values: list[Any]) -> Any:
 
 
 def shifts_table(rows: Iterable[ShiftRow]) -> pa.Table:
-    """Shifts as a table: a column for each field of `ShiftRow`, and one for each of its phases.
+    """Shifts as a table: a column for each field of `ShiftRow`, and one for each of its parts.
 
     A column's type is the same for all shifts, also where none has a value or there is none."""
     records = []
@@ -192,14 +192,14 @@ def shifts_table(rows: Iterable[ShiftRow]) -> pa.Table:
 
 
 def _shift_schema(pa: Any) -> pa.Schema:
-    """The columns of `ShiftRow.to_json`, its phases behind the others."""
+    """The columns of `ShiftRow.to_json`, its parts (`phases`) behind the others."""
     kinds = {str: pa.string(), int: pa.int64(), float: pa.float64()}
     columns = {
         name.rstrip("_"): next(kind for plain, kind in kinds.items() if plain in _plain(given))
         for name, given in get_type_hints(ShiftRow).items()
         if name != "phases"
     }
-    columns |= dict.fromkeys(("phase_error_pct_of_pitch", *PHASES), pa.float64())
+    columns |= dict.fromkeys(("phase_error_pct_of_pitch", *PARTS), pa.float64())
     return pa.schema(columns)
 
 

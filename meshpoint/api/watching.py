@@ -177,7 +177,7 @@ class Watching(ABC):
 
     @abstractmethod
     def _order(self, order: Callable[[], None]) -> None:
-        """Has the operator reported something, where it may be."""
+        """Passes an order to the operator, at a moment when it may be given."""
 
     @abstractmethod
     def _until_done(self) -> None:

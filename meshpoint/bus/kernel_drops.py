@@ -14,7 +14,7 @@ from typing import Any, Final
 import can
 
 SO_RXQ_OVFL: Final = 40
-"""asm-generic/socket.h; Python's socket module has no name for it."""
+"""From Linux's `asm-generic/socket.h`; Python's socket module has no name for it."""
 _COUNT: Final = struct.Struct("=I")
 MODULUS: Final = 1 << 32
 
@@ -58,6 +58,7 @@ def count_lost_frames(bus: can.BusABC) -> None:
 
 
 def lost_frames(bus: can.BusABC) -> int:
-    """Frames that the kernel has thrown away since the bus was opened; 0 where nobody reports."""
+    """Frames that the kernel has thrown away since the bus was opened; 0 where nothing counts
+    them."""
     counting = getattr(bus, "socket", None)
     return counting.lost if isinstance(counting, CountingSocket) else 0

@@ -70,7 +70,7 @@ SleeveT = TypeVar("SleeveT", bound=SleeveAxis)
 
 
 class Engagement(ABC, Generic[SleeveT]):
-    """The two main sleeves, their valves, and the record of what happens; common to all presets."""
+    """The two main sleeves, their valves, and what happened to them; common to all presets."""
 
     def __init__(
         self, sheet: GearboxSheet, plant: Rotation, sleeves: dict[Sleeve, SleeveT]
@@ -83,7 +83,7 @@ class Engagement(ABC, Generic[SleeveT]):
         self._blocked: set[Sleeve] = set()
         self.scripted = False
         self.violations: Counter[Violation] = Counter()
-        self.records: list[Engaged] = []
+        self.engaged: list[Engaged] = []
         self.lines: list[tuple[float, str]] = []
 
     @property
@@ -123,7 +123,7 @@ class Engagement(ABC, Generic[SleeveT]):
     def moment(self, event: EngagementEvent) -> None:
         """Clutch or brake has done something; no gear takes part in it."""
         time_us = self._plant.time_us
-        self.records.append(Engaged(event, MainGear.NEUTRAL, time_us, 0.0, 0.0))
+        self.engaged.append(Engaged(event, MainGear.NEUTRAL, time_us, 0.0, 0.0))
         self._say(time_us, event.name)
 
     def due(self, time_us: float) -> None:
@@ -157,7 +157,7 @@ class Engagement(ABC, Generic[SleeveT]):
         """The bench's return to a gear has ended here."""
         phase = self._plant.shafts.phase_rad(gear) if gear else 0.0
         slip = self._plant.slip_rad_s(gear) if gear else 0.0
-        self._record(EngagementEvent.READY, gear, phase, slip, drive_gear)
+        self._note(EngagementEvent.READY, gear, phase, slip, drive_gear)
 
     def _valve_on(self, name: Sleeve, direction: int, time_us: float) -> None:
         sleeve = self.sleeves[name]
@@ -206,7 +206,7 @@ class Engagement(ABC, Generic[SleeveT]):
         self.violations[kind] += 1
         self._say(time_us, f"VIOLATION {kind.name}: {text}")
 
-    def _record(
+    def _note(
         self,
         event: EngagementEvent,
         gear: MainGear,
@@ -216,7 +216,7 @@ class Engagement(ABC, Generic[SleeveT]):
         tally: Tally = NO_TALLY,
     ) -> None:
         time_us = self._plant.time_us
-        self.records.append(Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear, tally))
+        self.engaged.append(Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear, tally))
         where = f" drive gear {drive_gear}" if event is EngagementEvent.READY else ""
         self._say(
             time_us,

@@ -41,7 +41,7 @@ class DrawsDelays(Protocol):
         """The next delay, s."""
 
 
-class ScriptPhase(IntEnum):
+class ScriptStage(IntEnum):
     """Where the script stands."""
 
     IDLE = 0
@@ -67,9 +67,9 @@ class BenchScript:
         self._delays = delays
         self._gear: DriveGear | None = gear
         self._main_rad_s = plant.main_rad_s
-        self._phase_end_us = NEVER_US
+        self._stage_end_us = NEVER_US
         self.ramp_s = RETURN_RAMP_S
-        self.phase = ScriptPhase.IDLE
+        self.stage = ScriptStage.IDLE
         self.splitter = ShiftingSleeve(sheet.sleeve, 1 if gear.split is Split.HIGH else -1)
         self.range_ = ShiftingSleeve(sheet.sleeve, 1 if gear.range_ is Range.HIGH else -1)
         self.steps = {Sleeve.SPLITTER: self.splitter, Sleeve.RANGE: self.range_}
@@ -77,7 +77,7 @@ class BenchScript:
     @property
     def next_us(self) -> float:
         """When something of the script is due."""
-        return min(self._phase_end_us, self.splitter.arrival_us, self.range_.arrival_us)
+        return min(self._stage_end_us, self.splitter.arrival_us, self.range_.arrival_us)
 
     def step_sleeve(self, name: Sleeve) -> ShiftingSleeve | None:
         """The splitter's or the range's sleeve, of which there is one each; None: a main sleeve."""
@@ -87,31 +87,31 @@ class BenchScript:
         """Go to this drive gear, 0 for neutral, at this main shaft speed."""
         self._gear = DRIVE_GEARS.get(gear_number)
         self._main_rad_s = main_rad_s
-        self.phase = ScriptPhase.RELEASE
+        self.stage = ScriptStage.RELEASE
         self._engagement.scripted = True
         self._plant.script_main(0.0)
         if self._plant.shafts.lock is None:
             self._plant.coast()
         self._engagement.script_release(self._plant.time_us, RELEASE_S)
-        self._phase_end_us = self._plant.time_us + RELEASE_S * SECOND_US
+        self._stage_end_us = self._plant.time_us + RELEASE_S * SECOND_US
 
     def due(self, time_us: float) -> None:
         """Do what is due now."""
         if min(self.splitter.arrival_us, self.range_.arrival_us) <= time_us:
             self._change_steps(time_us)
-        if self._phase_end_us <= time_us:
+        if self._stage_end_us <= time_us:
             {
-                ScriptPhase.RELEASE: self._ramp,
-                ScriptPhase.RAMP: self._engage,
-                ScriptPhase.ENGAGE: self._ready,
-            }[self.phase]()
+                ScriptStage.RELEASE: self._ramp,
+                ScriptStage.RAMP: self._engage,
+                ScriptStage.ENGAGE: self._ready,
+            }[self.stage]()
 
     def watch(self) -> None:
         """After any event: once the gear is locked, wait for its sleeve's full stroke."""
-        if self.phase is ScriptPhase.ENGAGE and self._phase_end_us == NEVER_US:
+        if self.stage is ScriptStage.ENGAGE and self._stage_end_us == NEVER_US:
             sleeve = self._engagement.sleeves[self._name]
             if sleeve.state is SleeveState.LOCKED:
-                self._phase_end_us = max(sleeve.stroke_end_us, self._plant.time_us)
+                self._stage_end_us = max(sleeve.stroke_end_us, self._plant.time_us)
 
     @property
     def _main_gear(self) -> MainGear:
@@ -123,8 +123,8 @@ class BenchScript:
 
     def _ramp(self) -> None:
         plant, time_us = self._plant, self._plant.time_us
-        self.phase = ScriptPhase.RAMP
-        self._phase_end_us = time_us + self.ramp_s * SECOND_US
+        self.stage = ScriptStage.RAMP
+        self._stage_end_us = time_us + self.ramp_s * SECOND_US
         plant.script_main((self._main_rad_s - plant.main_rad_s) / self.ramp_s)
         if self._gear is None:
             return
@@ -145,13 +145,13 @@ class BenchScript:
             self._ready()
             return
         self._plant.script_layshaft(0.0)
-        self.phase = ScriptPhase.ENGAGE
-        self._phase_end_us = NEVER_US
+        self.stage = ScriptStage.ENGAGE
+        self._stage_end_us = NEVER_US
         self._engagement.script_engage(self._gear.main, self._plant.time_us)
 
     def _ready(self) -> None:
-        self.phase = ScriptPhase.IDLE
-        self._phase_end_us = NEVER_US
+        self.stage = ScriptStage.IDLE
+        self._stage_end_us = NEVER_US
         self._engagement.scripted = False
         number = self._gear.number if self._gear is not None else 0
         self._engagement.ready(self._main_gear, number)

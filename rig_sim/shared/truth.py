@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from meshpoint.gearbox.gears import MainGear, Sleeve
 from meshpoint.rig_sim.shared.engagement import Engagement, Violation
 from meshpoint.rig_sim.shared.rotation import Drive, Rotation
-from meshpoint.rig_sim.shared.script import BenchScript, ScriptPhase
+from meshpoint.rig_sim.shared.script import BenchScript, ScriptStage
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 
 
@@ -81,9 +81,9 @@ class CommonTruth:
         return state
 
     @property
-    def script(self) -> ScriptPhase:
+    def script(self) -> ScriptStage:
         """Where the bench script stands."""
-        return self._whole.script.phase
+        return self._whole.script.stage
 
     @property
     def violations(self) -> Mapping[Violation, int]:

@@ -171,7 +171,7 @@ class RigWorld(Protocol):
     def phase_read(self) -> PhaseRead:
         """Main shaft and phases now."""
 
-    def take_records(self) -> list[Engaged]:
+    def take_engaged(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""
 
     def take_lines(self) -> list[tuple[float, str]]:

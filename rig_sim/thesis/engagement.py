@@ -53,7 +53,7 @@ class ThesisEngagement(Engagement[SleeveAxis]):
             self._block(name, time_us)
         else:
             sleeve.enter(time_us)
-            self._record(EngagementEvent.TOOTH_PASSED, gear, -side * self._half_rad, slip)
+            self._note(EngagementEvent.TOOTH_PASSED, gear, -side * self._half_rad, slip)
 
     def _delay_s(self, name: Sleeve, direction: int) -> float:  # noqa: ARG002
         return self._delays.draw_s()
@@ -65,10 +65,10 @@ class ThesisEngagement(Engagement[SleeveAxis]):
         blocked = self._another_meshed(name)
         if abs(phase) < self._half_rad and not blocked:
             sleeve.enter(time_us)
-            self._record(EngagementEvent.GAP_CONTACT, gear, phase, slip)
+            self._note(EngagementEvent.GAP_CONTACT, gear, phase, slip)
             return
         sleeve.rest_on_tooth(time_us)
-        self._record(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
+        self._note(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
         if blocked:
             self._block(name, time_us)
 
@@ -77,12 +77,12 @@ class ThesisEngagement(Engagement[SleeveAxis]):
         slip = self._plant.slip_rad_s(gear)
         self._thesis.lock(gear, phase_rad)
         self.sleeves[name].lock()
-        self._record(EngagementEvent.LOCKED, gear, phase_rad, slip)
+        self._note(EngagementEvent.LOCKED, gear, phase_rad, slip)
         self._count_brake_in_gear(self._plant.time_us)
 
     def _unmesh(self, name: Sleeve) -> None:
         gear = self.gear_at(name)
         phase, slip = self._plant.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
-        self._record(EngagementEvent.RELEASED, gear, phase, slip)
+        self._note(EngagementEvent.RELEASED, gear, phase, slip)
         self.sleeves[name].unmesh()
         self._plant.coast()

@@ -148,10 +148,10 @@ class World:
         phases_rad = tuple([shafts.phase_rad(gear) for gear in MAIN_GEARS])
         return PhaseRead(shafts.main, self.plant.main_rad_s, phases_rad)
 
-    def take_records(self) -> list[Engaged]:
+    def take_engaged(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""
-        records, self.engagement.records = self.engagement.records, []
-        return records
+        engaged, self.engagement.engaged = self.engagement.engaged, []
+        return engaged
 
     def take_lines(self) -> list[tuple[float, str]]:
         """Lines for the log since the last call, with their times."""

@@ -32,7 +32,7 @@ class TruckClutch:
     def __init__(
         self, plant: TruckPlant, clutch: Clutch, note: Callable[[EngagementEvent], None]
     ) -> None:
-        """`note` is reported when it sets off, and when the plates part or meet."""
+        """`note` is called when it sets off, and when the plates part or meet."""
         self._plant = plant
         self._clutch = clutch
         self._note = note

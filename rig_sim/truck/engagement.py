@@ -119,7 +119,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self.slips()
         else:
             self._tallies[name] = self._tallies[name]._replace(blocked=True)
-            self._record_now(EngagementEvent.BLOCKED, name)
+            self._note_now(EngagementEvent.BLOCKED, name)
 
     def slips(self) -> None:
         """The torque at the main box exceeds static friction, or pulls the tooth off its flank."""
@@ -201,11 +201,11 @@ class TruckEngagement(Engagement[TruckSleeve]):
         half = self._half_rad + (self._chamfer_rad if inward else 0.0)
         if abs(phase) < half and not blocked:
             sleeve.enter(time_us)
-            self._record(EngagementEvent.GAP_CONTACT, gear, phase, slip)
+            self._note(EngagementEvent.GAP_CONTACT, gear, phase, slip)
             self._watch_gap(name)
             return
         sleeve.rest_on_tooth(time_us)
-        self._record(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
+        self._note(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
         self._face(name)
         if blocked:
             self._truck.unwatch(ROW_OF_SLEEVE[name])
@@ -258,7 +258,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             # The air may have changed since the valve was switched.
             self.sleeves[name].force_n = self._delays.force_n(self._truck.supply_gauge_pa)
         self.sleeves[name].enter(time_us)
-        self._record(EngagementEvent.TOOTH_PASSED, gear, phase, slip)
+        self._note(EngagementEvent.TOOTH_PASSED, gear, phase, slip)
         self._watch_gap(name)
 
     def _watch_gap(self, name: Sleeve) -> None:
@@ -295,7 +295,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             if bounce:
                 truck.leave_flank(gear)
             phase = side * self._half_rad
-            self._record(EngagementEvent.LOCKED, gear, phase, slip, tally=self._tallies[name])
+            self._note(EngagementEvent.LOCKED, gear, phase, slip, tally=self._tallies[name])
             self._count_brake_in_gear(self._plant.time_us)
 
     def _unload(self, name: Sleeve, time_us: float) -> None:
@@ -313,7 +313,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         gear = self.gear_at(name)
         phase = self._truck.shafts.phase_rad(gear)
         slip = self._plant.slip_rad_s(gear)
-        self._record(EngagementEvent.RELEASED, gear, phase, slip)
+        self._note(EngagementEvent.RELEASED, gear, phase, slip)
         self.sleeves[name].unmesh()
         self._truck.unwatch(ROW_OF_SLEEVE[name])
         self._truck.coast()
@@ -323,9 +323,9 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._leave_face(name)
         self._truck.unwatch(ROW_OF_SLEEVE[name])
         if was is not SleeveState.APPROACH:
-            self._record_now(EngagementEvent.GIVEN_UP, name)
+            self._note_now(EngagementEvent.GIVEN_UP, name)
 
-    def _record_now(self, event: EngagementEvent, name: Sleeve) -> None:
+    def _note_now(self, event: EngagementEvent, name: Sleeve) -> None:
         gear = self.gear_at(name)
         phase, slip = self._truck.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
-        self._record(event, gear, phase, slip, tally=self.tally(name))
+        self._note(event, gear, phase, slip, tally=self.tally(name))

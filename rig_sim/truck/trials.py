@@ -70,7 +70,7 @@ class Trials:
         KeyError where the sleeve has not even met its gear by the end."""
         self._reset(phase_rad - slip_rad_s * self.delay_s, slip_rad_s)
         plant, engagement = self.plant, self.engagement
-        engagement.records.clear()
+        engagement.engaged.clear()
         engagement.lines.clear()
         start_us = plant.time_us
         engagement.switch(VALVE_OF_MAIN[self.gear], True, start_us)
@@ -80,8 +80,8 @@ class Trials:
             if event == at.REACHED:
                 break
             self.world.handle(event)
-            for record in engagement.records:
-                found.setdefault(record.event, record)
+            for engaged in engagement.engaged:
+                found.setdefault(engaged.event, engaged)
             if EngagementEvent.LOCKED in found or EngagementEvent.BLOCKED in found:
                 break
         contact = found.get(EngagementEvent.GAP_CONTACT) or found[EngagementEvent.TOOTH_CONTACT]

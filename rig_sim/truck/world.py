@@ -242,10 +242,10 @@ class TruckWorld:
         plant = self.plant
         return PhaseRead(plant.angle(at.MAIN), plant.main_rad_s, plant.shafts.phases_rad())
 
-    def take_records(self) -> list[Engaged]:
+    def take_engaged(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""
-        records, self.engagement.records = self.engagement.records, []
-        return records
+        engaged, self.engagement.engaged = self.engagement.engaged, []
+        return engaged
 
     def take_lines(self) -> list[tuple[float, str]]:
         """Lines for the log since the last call, with their times."""
@@ -356,7 +356,7 @@ class TruckWorld:
 
     def _step_air_out(self, valve: Valve) -> None:
         """A valve of splitter or range is off and its cylinder empty, unless it was driven anew:
-        what still stands before its cones or rubs on them releases."""
+        what still stands before its cones or rubs on them is free again."""
         name, side = STEP_VALVES[valve]
         sleeve = self.script.steps[name]
         if self._steps_driven[valve] or sleeve.side != side or self.engagement.scripted:

@@ -19,7 +19,7 @@ LAST = Frame(0x18FF0001, b"off")
 
 
 class Metronome:
-    """A core that sends the number of its step every 10 ms, and keeps what it is reported."""
+    """A core that sends the number of its step every 10 ms, and keeps what it receives."""
 
     def __init__(self, address: int = 1) -> None:
         self.address = address

@@ -151,7 +151,7 @@ class Loop:
 
     @property
     def world(self) -> Any:
-        """The gearbox itself, with what nobody on the bus is reported."""
+        """The gearbox itself, with what the bus does not carry."""
         return self.rig_core._world
 
     def watch_guard(self) -> list[tuple[int, Any]]:

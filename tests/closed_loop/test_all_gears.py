@@ -41,7 +41,7 @@ PLAIN_SENSORS = {
     "dog.free_play": 0.0,
 }
 """Sensors without errors, and teeth that stay at their flank: what is asked is whether counts are
-kept, not how well a flank is reported."""
+kept, not how well a flank is known."""
 
 
 @pytest.fixture(scope="session")

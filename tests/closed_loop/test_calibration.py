@@ -88,7 +88,7 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
 @pytest.mark.long
 def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
     """After the restart the teeth are found, but seven phases of each gear are possible, and it
-    does not pretend to know: the first shift is by luck. It reports the turns, and the second, into
+    does not pretend to know: the first shift is by luck. It finds the turns, and the second, into
     a gear that was not in mesh since, is aimed."""
     loop, _, learned = restarted(TIED)
     assert sum("teeth found again" in line for line in loop.events) == 2

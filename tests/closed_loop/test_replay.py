@@ -169,7 +169,7 @@ def test_equal_requests_that_a_slow_node_takes_one_by_one_are_all_found(tmp_path
 
 @pytest.mark.long
 def test_another_strategy_acts_on_the_same_frames(six_shifts: Loop, tmp_path: Path) -> None:
-    """Up to the first aimed shift both do the same; from there on the other one is reported."""
+    """Up to the first aimed shift both do the same; from there on the difference is reported."""
     six_shifts.header.save(tmp_path)
 
     def change(header: RunHeader) -> RunHeader:

@@ -191,8 +191,8 @@ def test_aimed_shifts_meet_the_gap(six_shifts: Loop) -> None:
 
 def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
     """In mesh both stand still, on whichever flank it is: 0.05 degrees, a fifteenth of half a
-    gap. So the flank was reported right and the mean took out what the edges quantise. One look in
-    twenty may fall into the moment in which the gear is being taken out."""
+    gap. So the flank was found right and the mean took out what the edges quantise. One measurement
+    in twenty may fall into the moment in which the gear is being taken out."""
     truth: ReferencePhase | None = None
     status: ControllerStatus | None = None
     compared: dict[int, list[float]] = {10: [], 12: []}
@@ -215,7 +215,7 @@ def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
 
 def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm: within a tenth of half
-    a gap. Contact is up to a tick after the newest edges, by which the bus is reported less."""
+    a gap. Contact is up to a tick after the newest edges, when less is known."""
     contacts = engagements(six_shifts, EngagementEvent.GAP_CONTACT)
     reported = [each for each in six_shifts.of(ControllerEstimates) if each.phase_known]
     tenth_rad = 0.05 * SHEET.dog.backlash_rad

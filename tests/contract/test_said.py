@@ -1,4 +1,4 @@
-"""People are reported things in one way, by which nothing that others wrote steers their
+"""Messages go to people in one way, by which nothing that others wrote steers their
 terminal."""
 
 from __future__ import annotations

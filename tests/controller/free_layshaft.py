@@ -55,7 +55,7 @@ class World:
 
     @staticmethod
     def of(sheet: GearboxSheet, tuning: object) -> World:
-        """The data sheet's layshaft with the noises that the filter is reported."""
+        """The data sheet's layshaft with the noises that the filter is given."""
         inertia, t = sheet.inertia_kgm2(Split.HIGH), tuning
         sigma = t.torque_disturbance_nm / inertia
         return World(

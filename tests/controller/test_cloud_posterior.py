@@ -1,7 +1,7 @@
-"""What one measurement reports a cloud of particles, against the textbook: each driveline is a
-Kalman filter of angle and speed, and weighs as likely as the look was by it (Rao-Blackwellised
-particle filter; Doucet, de Freitas, Murphy and Russell 2000). Moments by scipy and numpy alone; how
-a driveline moves is held against scipy in test_lash.py."""
+"""What one measurement says to a cloud of particles, against the textbook: each driveline is a
+Kalman filter of angle and speed, and weighs as likely as the measurement was by it
+(Rao-Blackwellised particle filter; Doucet, de Freitas, Murphy and Russell 2000). Moments by scipy
+and numpy alone; how a driveline moves is held against scipy in test_lash.py."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ TUNING = CrossingFilterTuning()
 
 
 class Bench(NamedTuple):
-    """Runs whose starts are as scattered as the filter is reported."""
+    """Runs whose starts are as scattered as the filter is given."""
 
     world: World
     model: MotionModel

@@ -1,5 +1,6 @@
-"""The figures of a driveline in its backlash: the sheet's as felt at the main shaft, how looks and
-windows correct them, and the vehicle's trajectory; each against the formula of the textbook."""
+"""The figures of a driveline in its backlash: the sheet's as felt at the main shaft, how
+measurements and windows correct them, and the vehicle's trajectory; each against the formula of the
+textbook."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a gear's gap is, by looks at a tooth that a driveline throws from flank to flank."""
+"""Where a gear's gap is, by measurements of a tooth that a driveline throws from flank to flank."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def measurements(
     flanks: tuple[float, ...],
     sd: float = SD,
 ) -> np.ndarray:
-    """Raw phases: the tooth stays at a flank for 50 ms, five looks, or crosses the gap in one."""
+    """Raw phases: the tooth stays at a flank for 50 ms, five measurements, or crosses the gap in
+    one."""
     at = np.repeat(rng.choice(flanks, size=count // 5 + 1), 5)[:count] * BACKLASH / 2.0
     crossing = rng.random(count) < 0.2
     at[crossing] = rng.uniform(min(flanks), max(flanks), crossing.sum()) * BACKLASH / 2.0
@@ -67,8 +68,8 @@ def test_a_gap_wider_than_the_sheets_is_none() -> None:
 
 
 def test_a_reference_is_known_after_one_engagement_on_a_driveline_that_swings() -> None:
-    """The tooth never lies still for the looks that a flank by itself would take, and these scatter
-    too much for their lowest and highest to bound the gap."""
+    """The tooth never lies still for the measurements that a flank by itself would take, and these
+    scatter too much for their lowest and highest to bound the gap."""
     rng, gear, middle = np.random.default_rng(8), MainGear.SECOND, 0.4 * PITCH
     references, ratio = PhaseReferences(SHEET), SHEET.main_mesh(gear).ratio
     references.locked(gear, 0.5, straight=False)
@@ -120,9 +121,9 @@ def wrapped(phase: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("share", [0.1, 0.17, 0.28])
 @pytest.mark.parametrize("cell", [5, 100, 290])
 def test_the_middle_is_what_bayes_rule_makes_of_the_measurements(cell: int, share: float) -> None:
-    """Look by look, at a flank, at the other and amid the gap, also at a pitch's end: reported once
-    97 of 100 lie near the likeliest. Looks lie on the cells, so that none is moved to the next
-    one."""
+    """Measurement by measurement, at a flank, at the other and amid the gap, also at a pitch's end:
+    reported once 97 of 100 lie near the likeliest. Measurements lie on the cells, so that none is
+    moved to the next one."""
     half, reported = round(ROUND_BACKLASH / 2.0 / ROUND_PITCH * CELLS), []
     cells = cell + np.tile([-half, half, half, half // 3], 40)
     for count in (*range(1, 32), 160):

@@ -111,7 +111,7 @@ def test_propagation_through_brake_switches_solves_the_equations(
     horizon_us: int,
     first: bool,
 ) -> None:
-    """Against a Runge-Kutta solver that is reported u(t), wherever the switches lie."""
+    """Against a Runge-Kutta solver that is given u(t), wherever the switches lie."""
     switch_us = np.array(sorted(switches), dtype=float)
     switch_u = np.array([float((i % 2 == 0) == first) for i in range(len(switches))])
     state = np.array(x)

@@ -1,4 +1,5 @@
-"""What looks at a gear in mesh come to, by hand: phases in backlashes, looks one by one."""
+"""What measurements at a gear in mesh come to, by hand: phases in backlashes, measurements one by
+one."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ def test_a_tooth_that_went_far_enough_lies_on_the_flank_to_which_it_went(
     side: float, way: float, stored: int | None
 ) -> None:
     """Beyond 0.85 backlashes it has crossed; beyond 0.3 it may have, and must lie still for longer;
-    less says nothing, and what is beyond 1.25 was no look at this gap."""
+    less says nothing, and what is beyond 1.25 was no measurement of this gap."""
     references = locked()
     assert measurement(references, *[0.0] * 4) is None
     assert measurement(references, *[side * way] * 30) == stored
@@ -99,7 +100,7 @@ def moving(gear: MainGear = OTHER) -> PhaseReferences:
 
 
 def test_where_teeth_are_known_to_move_slip_tells_nothing_and_drag_does() -> None:
-    """After six looks in a row that drag alone pulls; it lies at the lower flank."""
+    """After six measurements in a row that drag alone pulls; it lies at the lower flank."""
     references = moving()
     references.locked(GEAR, 1.0)
     assert measurement(references, *[0.0] * 30) is None
@@ -218,7 +219,7 @@ def test_a_known_reference_is_put_right_where_it_is_wrong_by_half_a_flank(
 
 
 def seen_at_both_flanks(references: PhaseReferences, middle: float) -> None:
-    """Sixty sharp looks at the ends of the gap."""
+    """Sixty sharp measurements at the ends of the gap."""
     for k in range(60):
         share = middle + (0.5 if k % 2 else -0.5)
         references.see(GEAR, theta(share), 0.0, 0.12 * GAP)

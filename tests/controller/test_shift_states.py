@@ -146,7 +146,7 @@ class Box:
         return self.state
 
     def _command(self) -> None:
-        """What each valve is reported for the next 10 ms, as shares of a millisecond."""
+        """What each valve is commanded for the next 10 ms, as shares of a millisecond."""
         for valve in ValveName:
             for ms in range(TICK_US // MS_US):
                 tenths = [self.now_us + MS_US * ms + 100 * k for k in range(10)]

@@ -196,7 +196,7 @@ def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_reported_in_time(
 ) -> None:
     """The earliest contact is in the middle of a gap, with 20 rpm. It is fired in 18 ms, and until
     its valve's delay of 12 ms is over the sleeve has not moved: the step after 20 ms can still call
-    it back, with a valve of 22 ms the one after 30 ms. If the phase is reported later, a later gap
+    it back, with a valve of 22 ms the one after 30 ms. If the phase is known later, a later gap
     is better."""
     sheet = dataclasses.replace(
         SHEET, sleeve=dataclasses.replace(SHEET.sleeve, valve_delay_s=1e-3 * valve_ms)
@@ -215,11 +215,11 @@ def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_reported_in_time(
 
 @given(ticks=st.integers(0, 8), share=st.floats(0.0, 0.999))
 def test_a_contact_is_as_uncertain_as_at_the_last_look_before_it(ticks: int, share: float) -> None:
-    """Measurements come every 10 ms, the last one 36 to 46 ms before a contact; what they tell
-    besides is nothing here, so only the time from look to contact counts."""
+    """Measurements come every 10 ms, the last one 36 to 46 ms before a contact; what they show
+    besides is nothing here, so only the time from measurement to contact counts."""
     predictor, measurement = predictor_at(20.0), LastMeasurement(36_000.0, 10_000)
     contact_us = NOW_US + measurement.before_us + 10_000.0 * (ticks + share)
-    found = predictor.reported_variances(contact_us, 1.0, 1, NOW_US, measurement)
+    found = predictor.known_variances(contact_us, 1.0, 1, NOW_US, measurement)
     ahead_us = measurement.before_us + 10_000.0 * share
     assert found[0] == pytest.approx(predictor.estimate_variance(NOW_US + ahead_us), rel=0.01)
 

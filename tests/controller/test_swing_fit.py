@@ -59,8 +59,8 @@ def fits(seen: EngineTrajectory, omegas: np.ndarray, sd: float) -> np.ndarray:
 @pytest.mark.parametrize("error", [0.01, 0.1, 0.4])
 def test_frequencies_weigh_by_how_well_they_explain_the_speeds(error: float) -> None:
     """Of w^2 = k (1 / J1 + 1 / J2), two deviations to either side. Errors are as large as the best
-    fit says and last for four looks. The stiffness is what was known of it and what was seen, each
-    by its weight."""
+    fit says and last for four measurements. The stiffness is what was known of it and what was
+    seen, each by its weight."""
     seen = trajectory(error)
     inverse = 1.0 / ENGINE + KNOWN.vehicle_inverse
     reach = REACH_SD * math.hypot(KNOWN.stiffness_sd, KNOWN.vehicle_sd / inverse)

@@ -136,7 +136,7 @@ def test_teeth_that_explain_a_window_badly_but_better_than_none_are_learned_on()
 
 
 def test_numbers_that_are_lost_leave_the_pattern_and_it_is_found_again() -> None:
-    """Its looks then count as if they had been in the present numbering."""
+    """Its measurements then count as if they had been in the present numbering."""
     teeth = a_wheel(*[window(pattern(1))] * 3)
     errors = teeth.error_rad.copy()
     teeth.lose_numbers()
@@ -156,7 +156,7 @@ def test_numbers_that_are_lost_leave_the_pattern_and_it_is_found_again() -> None
     ("remembered", "seen", "said"),
     [(pattern(1), pattern(5), ["do not agree", "not those that were remembered"]),
      # Of a wheel like an ideal one every turn fits.
-     (np.zeros(EDGES), np.zeros(EDGES), ["learned", "None", "cannot be determined apart"])],
+     (np.zeros(EDGES), np.zeros(EDGES), ["learned", "None", "cannot be distinguished"])],
 )  # fmt: skip
 def test_a_remembered_pattern_that_is_not_recognised_is_dropped(
     remembered: Vector, seen: Vector, said: list[str]

@@ -1,4 +1,4 @@
-"""Touch pressure and sensor lag are reported together, by a deviance that may have a long
+"""Touch pressure and sensor lag are learned together, by a deviance that may have a long
 valley."""
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def test_a_paraboloid_and_what_was_known_have_the_minimum_of_their_sum(
 
 
 def test_along_a_valley_nothing_is_learned_and_both_figures_stay_tied() -> None:
-    """Touch + 0.1 bar a millisecond of lag is reported alone: its spread falls, no other does."""
+    """Touch + 0.1 bar a millisecond of lag is learned alone: its spread falls, no other does."""
     across = np.array([1.0 / 0.1e5, 1.0 / 1e-3])
     curvature = 50.0 * np.outer(across, across)
     found = best_of(bowl(np.array([0.3e5, 1e-3]), curvature), FIRST)

@@ -51,7 +51,7 @@ class RigBench:
 
     @property
     def world(self) -> Any:
-        """The gearbox itself, with what nobody on the bus is reported."""
+        """The gearbox itself, with what the bus does not carry."""
         return self.core._world
 
     def clock(self, time_us: int) -> int:

@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox.gears import DRIVE_GEARS, MainGear
-from meshpoint.rig_sim.shared.script import ScriptPhase
+from meshpoint.rig_sim.shared.script import ScriptStage
 from meshpoint.units import RPM
 
 BACKLASH = SHEET.dog.backlash_rad
@@ -118,7 +118,7 @@ def test_a_repeated_sequence_number_does_nothing() -> None:
     assert len(bench.events(EngagementEvent.READY)) == 1
     bench.return_to_gear(8, 6)
     bench.run(bench.now_us + 10_000)
-    assert bench.core.truth.script is ScriptPhase.RELEASE
+    assert bench.core.truth.script is ScriptStage.RELEASE
 
 
 def test_neutral_can_be_asked_for() -> None:

@@ -36,7 +36,7 @@ def engagements() -> list[dict[EngagementEvent, Engaged]]:
         run_world(world, 10_000)
         world.return_to_gear(10, 644.0 * RPM, 10_000)
         run_world(world, 520_000)
-        runs.append({record.event: record for record in world.engagement.records})
+        runs.append({engaged.event: engaged for engaged in world.engagement.engaged})
     return runs
 
 
@@ -133,7 +133,7 @@ def coasting_world(seed: int, omega_rad_s: float) -> World:
     world.plant.script_layshaft(0.0)
     world.plant._layshaft.record.speed_rad_s = omega_rad_s
     world.plant.coast()
-    world.engagement.records.clear()
+    world.engagement.engaged.clear()
     return world
 
 
@@ -154,7 +154,7 @@ def test_a_slip_that_dies_on_the_tooth_carries_it_out_at_the_other_side() -> Non
             world.command_valves(only(Valve.MAIN_SECOND), now_us)
             now_us += 50_000
             run_world(world, now_us)
-        records = {record.event: record for record in world.engagement.records}
+        records = {record.event: record for record in world.engagement.engaged}
         contact = records.get(EngagementEvent.TOOTH_CONTACT)
         locked = records[EngagementEvent.LOCKED]
         assert locked.phase_rad == math.copysign(BACKLASH / 2, locked.slip_rad_s)

@@ -18,7 +18,7 @@ BRAKED_US = 600_000
 
 @pytest.mark.parametrize("seed", [2, 4, 5])
 def test_the_brake_holds_a_box_that_stands_in_gear_on_a_driveline_that_swings(seed: int) -> None:
-    """What pulls at the layshaft is reported at the layshaft, whichever shaft leads those in mesh:
+    """What pulls at the layshaft counts at the layshaft, whichever shaft leads those in mesh:
     else the brake seemed to turn it back, and to catch it, without end."""
     settings = RigSettings(
         seed=seed, main_speed_rpm=0.0, profile=Profile.TYPICAL,

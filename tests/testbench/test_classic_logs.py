@@ -1,4 +1,4 @@
-"""The classic profile reported, watched and checked."""
+"""Logs of the classic profile told, watched and checked."""
 
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ from meshpoint.testbench.open_loop.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.replay.sensors import seen_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
-from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_parts import PARTS
 from meshpoint.testbench.show import calibration as calibration_command
 from meshpoint.testbench.show import gearbox as gearbox_command
 from meshpoint.testbench.show import messages as messages_command
@@ -77,7 +77,7 @@ RECORD = JudgedShift(
     impact_j=123.45, face_ms=0.0, ratchets=0, blocked=0, backlash_percent=20.0, gap_share=0.2,
     delay_sd_ms=1.0, oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None,
     bound_ms=None,
-    **dict.fromkeys(PHASES),
+    **dict.fromkeys(PARTS),
 )  # fmt: skip
 AGAINST = {
     "reference": "origin/a-branch-with-a-name (0123456789ab of /srv/somebody/else/truck/node)",
@@ -110,7 +110,7 @@ def campaign_values() -> dict[str, Any]:
         "duration_ms": span,
         "impact_j": span,
         "slip_rpm_mean": -123.4,
-        "phases_ms": dict.fromkeys(PHASES, 12_436.7),
+        "phases_ms": dict.fromkeys(PARTS, 12_436.7),
         "bound_ms": 12_436.0,
         "over_bound": 12.345,
         "after_ramp_ms": {"mean": 12345.6, "p50": 12345.6, "p99": 12345.6},
@@ -164,7 +164,7 @@ TABLES: dict[str, Callable[[], Table]] = {
         compare({name: [ROW] * 1000 for name in STRATEGIES}), GEARBOX
     ),
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values(), GEARBOX),
-    "campaign.table._phases": lambda: campaign_table._phases(campaign_values(), GEARBOX),
+    "campaign.table._parts": lambda: campaign_table._parts(campaign_values(), GEARBOX),
     "campaign.table._ratios": lambda: campaign_table._ratios(
         campaign_values()["ratios"], STRATEGIES, GEARBOX
     ),

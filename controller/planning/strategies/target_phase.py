@@ -30,19 +30,20 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 
-MEASUREMENT_AHEAD_US: Final = 300_000.0
-"""Contacts of a release are looked at so far ahead: in that time the slip falls out of its
-window;"""
+RELEASE_AHEAD_US: Final = 300_000.0
+"""How far ahead contacts of a release are searched: in that time the slip falls out of its
+window."""
 FIRING_AHEAD_US: Final = 600_000.0
-"""those of a firing so far: where little drag is left, and the teeth pass slowly, a gap may come
-late."""
+"""How far ahead contacts of a firing are searched: where little drag is left, and the teeth pass
+slowly, a gap may come late."""
 COARSE_US: Final = 2_000.0
+"""Longest step from contact to contact in a coarse search."""
 LEAST_COARSE_US: Final = 200.0
-"""Contacts are looked at in steps of at most, and at least, this;"""
+"""Shortest such step."""
 STEP_OF_PITCH: Final = 0.04
+"""In a coarse step the phase moves by no more than this share of a pitch."""
 STEP_OF_WINDOW: Final = 0.07
-"""in one of them the phase moves by no more than this share of a pitch, and the slip by no more
-than this share of the slips allowed."""
+"""In a coarse step the slip moves by no more than this share of the slips allowed."""
 FINE_SHARE: Final = 20
 """A coarse step has this many fine ones, which are looked at around the best of the coarse ones."""
 FALL_US: Final = 20_000
@@ -50,15 +51,17 @@ FALL_US: Final = 20_000
 NEAR_US: Final = 50_000
 """A release further ahead is not aimed yet, since it is planned again at every tick."""
 EARLIER_SHARE: Final = 0.5
+"""Releases are tried from so much before the unaimed one on, in shares of the time by which a
+release moves the phase at contact by a pitch."""
 LATER_SHARE: Final = 0.7
-"""Releases are looked at so much earlier and later than the unaimed one that they move the phase at
-contact by these shares of a pitch: together by more than a pitch;"""
+"""Releases are tried until so much after the unaimed one: with `EARLIER_SHARE` more than a
+pitch."""
 RELEASES: Final = 14
-"""this many of them, and then more closely around the best;"""
+"""Number of releases that are tried first, before more around the best."""
 CLOSE_SHARE: Final = 5
-"""in steps smaller by this,"""
+"""The close steps are smaller than the first ones by this factor, or less (`CLOSE_OF_GAP`)."""
 CLOSE_OF_GAP: Final = 0.15
-"""or smaller, so that one moves the phase by no more than this share of a backlash."""
+"""A close step moves the phase by no more than this share of a backlash."""
 COASTS_US: Final = (90_000.0, 60_000.0, 30_000.0, 0.0)
 """A release may be so much earlier, and the gear coast so much longer: what the valve's scatter and
 the brake's fading have done to its speed is known by then."""
@@ -90,7 +93,7 @@ class TargetPhase:
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
         self._sheet, self._timing = sheet, settings.timing
-        self._reported_us = known_until_recall_us(sheet, settings.timing)
+        self._known_us = known_until_recall_us(sheet, settings.timing)
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -118,7 +121,7 @@ class TargetPhase:
         return self._least(predictor, now_us, later, np.full(count, variances[0]))[1] < stays
 
     def _steps(
-        self, predictor: GearPredictor, release_us: int, ahead_us: float = MEASUREMENT_AHEAD_US
+        self, predictor: GearPredictor, release_us: int, ahead_us: float = RELEASE_AHEAD_US
     ) -> tuple[float, int]:
         """Length and number of the coarse steps of contacts: small where teeth are small, or where
         drag soon takes the slip away."""
@@ -191,7 +194,7 @@ class TargetPhase:
         """Time of a trajectory's cheapest contact."""
         measurement = last_measurement(self._sheet, self._timing, predictor.delay_us)
         first_us, step_us, phase, _ = trajectory
-        settled = predictor.reported_variances(first_us, step_us, phase.size, now_us, measurement)
+        settled = predictor.known_variances(first_us, step_us, phase.size, now_us, measurement)
         variances = settled + self._reference_variance
         best, _ = self._least(predictor, now_us, trajectory, variances)
         return trajectory.first_us + best * trajectory.step_us
@@ -211,7 +214,7 @@ class TargetPhase:
         variances that are left when the sleeve for each contact can last be recalled."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        before = round((max(0.0, first_us - firing_us) + self._reported_us) / step_us)
+        before = round((max(0.0, first_us - firing_us) + self._known_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
         now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance

@@ -57,7 +57,7 @@ def others_may_write(folder: Path) -> bool:
 
 def check_peer(connection: socket.socket) -> None:
     """StrangerError where another user than this one or root is at the other end of a unix socket.
-    Only Linux reports who it is."""
+    Only Linux says who it is."""
     if sys.platform != "linux" or connection.family != socket.AF_UNIX:
         return
     option = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)

@@ -63,7 +63,7 @@ class _Object(NamedTuple):
 
 def blf_entries(file: BinaryIO, file_bytes: int, buses: Buses) -> Entries:
     """Every frame of a BLF log of `file_bytes` bytes; time in seconds since the epoch, or since
-    the start when the log does not tell its start. Raises DefectError.
+    the start when the log does not show its start. Raises DefectError.
     """
     header = file.read(_FILE_HEADER.size)
     if len(header) < _FILE_HEADER.size or not header.startswith(b"LOGG"):
@@ -83,11 +83,11 @@ def blf_entries(file: BinaryIO, file_bytes: int, buses: Buses) -> Entries:
     if declared_bytes > file_bytes:
         raise DefectError(end, f"cut off: {file_bytes} bytes are left of {declared_bytes}")
     if objects < declared_objects:
-        raise DefectError(end, f"{objects} objects are left of {declared_objects} that it reports")
+        raise DefectError(end, f"{objects} objects are left of {declared_objects} that it declares")
     if declared_bytes and (declared_bytes < file_bytes or objects > declared_objects):
         # The header is written last: what came behind it was on its way.
         cause = (
-            f"the header reports {declared_objects} objects in {declared_bytes} bytes, there are "
+            f"the header declares {declared_objects} objects in {declared_bytes} bytes, there are "
         )
         yield Unfinished(f"{cause}{objects} in {file_bytes} (interrupted)")
 
@@ -168,7 +168,7 @@ def _unpacked(container: bytes, position: str) -> bytes:
         )
     if len(content) != unpacked_bytes:
         raise DefectError(
-            position, f"container holds {len(content)} bytes, reported are {unpacked_bytes}"
+            position, f"container holds {len(content)} bytes, declared are {unpacked_bytes}"
         )
     return content
 

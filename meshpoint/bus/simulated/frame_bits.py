@@ -38,7 +38,7 @@ class BitTiming(NamedTuple):
 class WireFrame(NamedTuple):
     """A frame as its sender hands it to the wire.
 
-    `data` is padded to a length that the format can carry; a remote frame has none and reports the
+    `data` is padded to a length that the format can carry; a remote frame has none and carries the
     length asked for in `dlc`. `error_state` is the ESI bit of an FD frame.
     """
 

@@ -403,7 +403,7 @@ def _compared(namespace: argparse.Namespace, own: str) -> tuple[str, ...]:
 
 
 def _judged_blind(namespace: argparse.Namespace) -> int | None:
-    """More than one reports an integrated rate nothing."""
+    """One where the campaign waits for gaps: more of them add nothing to an integrated rate."""
     waits_for_gaps = namespace.until is not None and namespace.until.figure == GAP
     return namespace.judged_blind or (1 if waits_for_gaps else None)
 

@@ -6,7 +6,7 @@ Few runs with a miss say little of how misses go together: the design effect is 
 and the worst, a whole run like its first shift, by how many such runs there are.
 Means, quantiles and ratios: percentile bootstrap over whole runs, with the same resamples for the
 strategies compared, so that a ratio keeps the pairing (Efron and Tibshirani 1993, ch. 8). A ratio
-of rates of which one has few misses is distinguished from the intervals of both (Donner and Zou
+of rates of which one has few misses is taken from the intervals of both (Donner and Zou
 2012).
 """
 

@@ -10,8 +10,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
-from meshpoint.testbench.results.phases import ShiftPhases
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_parts import ShiftParts
 from meshpoint.units import MM, RPM
 
 NO_OUTCOME = "no_outcome"
@@ -73,7 +73,7 @@ class JudgedShift:
     entry_ms: float | None
     seen_ms: float | None
     closing_ms: float | None
-    """Where the time went, as `results.phases` has it."""
+    """Where the time went, as `results.shift_parts` has it."""
 
     @property
     def is_gap(self) -> bool:
@@ -151,6 +151,6 @@ class Conditions:
             bound_ms=kinematic_bound_ms(
                 self._sheet, self._as_built, (planned.from_, planned.to), planned.main_rad_s
             ),
-            **vars(ShiftPhases() if row is None else row.phases),
+            **vars(ShiftParts() if row is None else row.phases),
             **self.columns,
         )

@@ -20,7 +20,7 @@ from meshpoint.testbench.report.html import (
     table,
     table_row,
 )
-from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
+from meshpoint.testbench.results.shift_parts import TITLES as PART_TITLES
 
 FEW_RUNS = 30
 SWEPT_BY = {"backlash": BACKLASH, "scatter": DELAY_SD}
@@ -47,8 +47,8 @@ def write_report(
         "<h2>Strategies</h2>",
         _strategies(values),
         "<h2>Where the milliseconds go</h2>",
-        "<p>Mean of each phase over the shifts that have it, by the rig's truth.</p>",
-        _phases(values),
+        "<p>Mean of each part over the shifts that have it, by the rig's truth.</p>",
+        _parts(values),
         "<h2>Ratios on the same draws</h2>",
         _ratios(values),
         '<h2>Figures</h2>\n<div class="overview">',
@@ -122,10 +122,10 @@ def _strategies(values: dict[str, Any]) -> str:
     return table(head, rows)
 
 
-def _phases(values: dict[str, Any]) -> str:
-    head: list[Cell] = [("strategy", ""), *((t, NUMBER_CLASS) for t in PHASE_TITLES.values())]
+def _parts(values: dict[str, Any]) -> str:
+    head: list[Cell] = [("strategy", ""), *((t, NUMBER_CLASS) for t in PART_TITLES.values())]
     rows = [
-        _line(name, [_text(figure["phases_ms"][phase], 1) for phase in PHASE_TITLES])
+        _line(name, [_text(figure["phases_ms"][part], 1) for part in PART_TITLES])
         for name, figure in values["strategies"].items()
     ]
     return table(head, rows)

@@ -25,8 +25,8 @@ from meshpoint.testbench.campaign.intervals import (
     telling_runs,
 )
 from meshpoint.testbench.campaign.spec import TRUE_STATE
-from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import SOURCES
+from meshpoint.testbench.results.shift_parts import PARTS
 
 P99: Final = 0.99
 Figure = Callable[["Shots"], tuple[Vector, Integers]]
@@ -127,7 +127,7 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
             "mean_ci95": interval(resamples.of(name, "impact_j_mean")),
             "p99": quantile(shots.impact_j, P99) if shots.impact_j.size else None,
         },
-        "phases_ms": {phase: _mean(shifts.known(phase)) for phase in PHASES},
+        "phases_ms": {part: _mean(shifts.known(part)) for part in PARTS},
         "bound_ms": _mean(shifts.known("bound_ms")),
         "over_bound": _over_bound(shots),
         "retries": int(np.maximum(0, shifts.column("attempts") - 1).sum()),

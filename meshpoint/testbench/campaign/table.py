@@ -10,7 +10,7 @@ from rich.table import Table
 
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.results.output import broken, number
-from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
+from meshpoint.testbench.results.shift_parts import TITLES as PART_TITLES
 
 
 def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:
@@ -18,7 +18,7 @@ def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:
     ones, as the titles say it."""
     out.print(_strategies(values, gearbox))
     out.print()
-    out.print(_phases(values, gearbox))
+    out.print(_parts(values, gearbox))
     if values["ratios"]:
         out.print()
         out.print(_ratios(values["ratios"], list(values["strategies"]), gearbox))
@@ -39,18 +39,18 @@ def _strategies(values: dict[str, Any], gearbox: str) -> Table:
     return table
 
 
-def _phases(values: dict[str, Any], gearbox: str) -> Table:
-    """Where the milliseconds go: mean of each phase over the shifts that have it."""
+def _parts(values: dict[str, Any], gearbox: str) -> Table:
+    """Where the milliseconds go: mean of each part over the shifts that have it."""
     table = Table(
-        title=f"mean ms by phase, by the rig's truth,\n{gearbox}", title_justify="left",
+        title=f"mean ms by part of the shift, by the rig's truth,\n{gearbox}", title_justify="left",
         box=None, pad_edge=False,
     )  # fmt: skip
     strategies: dict[str, dict[str, Any]] = values["strategies"]
     table.add_column("", no_wrap=True)
     for name in strategies:
         table.add_column(broken(name), justify="right")
-    for phase, title in PHASE_TITLES.items():
-        cells = [number(figures["phases_ms"][phase], 1) for figures in strategies.values()]
+    for part, title in PART_TITLES.items():
+        cells = [number(figures["phases_ms"][part], 1) for figures in strategies.values()]
         if any(cell != "-" for cell in cells):
             table.add_row(title, *cells)
     return table

@@ -1,4 +1,5 @@
-"""`true_state`: target_phase reported the rig's true state and parameters, and no future chance.
+"""`true_state`: target_phase that is given the rig's true state and parameters, and no future
+chance.
 
 It shows what physics leaves to be had: the scatter of the sleeve's delay stays unknown to it. In
 the preset thesis the controller's own model is exact, so the true state is all that it needs; in

@@ -41,7 +41,7 @@ LEAST_WORSE: Final = 3
 """This many more pairs are worse than better before the change is called worse."""
 FIRST_RUNS: Final = 16
 EVERY_RUNS: Final = 8
-"""When it is looked: after this many runs, and then after every this many more."""
+"""When the runs are compared: after this many, and then after every this many more."""
 ICC: Final = 0.12
 """How much the misses of one run go together at least (docs/campaign.md)."""
 LEAST_MISSES: Final = 0.005

@@ -34,7 +34,7 @@ def add_parser(commands: Any) -> None:
         "tries their channels and edges in turn, finds the wheel, numbers its teeth as the node "
         f"does and predicts the edge {EDGES_AHEAD} edges ahead. "
         "lost: tooth numbers lost after lock; doubts: times edges were withheld until a gap had "
-        "shown the count right; teeth checked: edges whose tooth the whole file reports as well, "
+        "shown the count right; teeth checked: edges whose tooth the whole file shows as well, "
         "wrong: those numbered otherwise; constant, turn ago, in use: RMS error of the time by "
         "constant speed, by the turn before scaled to the speed, and by whatever was best so far. "
         "A file that gives no row is named with the reason. With -o the edges of one capture "

@@ -37,7 +37,7 @@ NO_FACTS: Final = "bit rates, sample point, restart-ms, queue length and error c
 
 @dataclass(frozen=True)
 class LinkState:
-    """One CAN device as `ip` says it; None: it does not tell."""
+    """One CAN device as `ip` says it; None: it does not say."""
 
     name: str
     is_up: bool

@@ -69,8 +69,8 @@ def read_in_sensor_time(
 
 
 def complain_of_interrupt(frames: int) -> None:
-    """What is reported ends early, because Ctrl-C asked for it."""
-    complain(f"interrupted: what is reported ends after {frames} frames of the log")
+    """The report ends early, because Ctrl-C asked for it."""
+    complain(f"interrupted: the report ends after {frames} frames of the log")
 
 
 def log_name(files: list[Path]) -> str:

@@ -94,7 +94,7 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     if arguments.wire_of(namespace) is WireProfile.CLASSIC:
         raise CommandError(
-            "commission reports wheels and shafts apart by their edges: --profile classic carries "
+            "commission distinguishes wheels and shafts by their edges: --profile classic carries "
             "those of two shafts alone. Commission the box over CAN FD: the data sheet that it "
             "writes serves a controller with --profile classic as well"
         )

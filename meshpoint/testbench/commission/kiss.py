@@ -18,9 +18,9 @@ from meshpoint.units import TURN, US
 
 BEFORE_US: Final = 80_000
 LEAST_RISE_RAD_S: Final = 15.0
-"""An input shaft that is taken along by less shows no touch;"""
+"""An input shaft that is taken along by less shows no touch."""
 USED_RISE: Final = 0.6
-"""and of its rise this share is used: after it the plates have nearly one speed."""
+"""This share of the rise is used: after it the plates have nearly one speed."""
 STEP: Final = 0.004
 ENDS: Final = (0.05, 0.85)
 LEAST_SAMPLES: Final = 12

@@ -187,7 +187,7 @@ def _meshes(found: Commissioned, log: EdgeLog) -> None:
         ]
         best = min(reported, key=lambda one: one.tolerance, default=None)
         if best is None or best.fraction is None:
-            found.unknown(table, "its ratio is not reported well enough to know its teeth")
+            found.unknown(table, "its ratio is not known well enough to know its teeth")
             continue
         driving, driven = _whole_teeth(best, mesh)
         found.add(table, "teeth_driving", driving, "down to a common factor")

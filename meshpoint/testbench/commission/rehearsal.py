@@ -96,7 +96,7 @@ class Miswiring:
         return not bad
 
     def is_reported_by(self, findings: list[Finding]) -> bool:
-        """The same of a box that was turned, where it can be determined apart from all else."""
+        """The same of a box that was turned, where it can be distinguished from all else."""
         turned = {f.subject: f.text for f in findings if f.group == TURNING and f.verdict == "bad"}
         others = [f for f in findings if f.group != TURNING]
         if self.sensors is not None:

@@ -57,7 +57,7 @@ NEEDED: Final = (GearboxSensors, SleevesMain, SleevesAux, EEC1)
 IN_M: Final = 8.0 * MM
 """A main sleeve this far from neutral is in its gear."""
 STEP_IN_M: Final = 4.0 * MM
-"""And one of splitter or range."""
+"""The sleeve of splitter or range this far from its middle is in one of its steps."""
 CREEP_RPM: Final = 700.0
 """Engine speed at which a gear is turned in."""
 GEAR_RPM: Final = 1200.0

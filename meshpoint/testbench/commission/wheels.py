@@ -31,9 +31,9 @@ AS_GOOD, AS_GOOD_EDGES = 0.03, 30.0
 """A count that leaves no more than this over the least one's may be the true one, and the least
 one a multiple of it."""
 LEAST_TOLERANCE: Final = 3e-5
-"""Share by which a measured ratio may differ from the true one, at least;"""
+"""Share by which a measured ratio may at least differ from the true one."""
 SPREADS: Final = 3.0
-"""and in standard deviations of its parts' mean."""
+"""It may also differ by this many standard deviations of its parts' mean."""
 PARTS: Final = 8
 DEGREE_TURNS: Final = 0.25 / 360.0
 """By so much the end of a count may be wrong: teeth that are off, a flank that was left."""

@@ -54,7 +54,7 @@ def demo_run(live: LiveRun, name: str = "", notes: list[str] | None = None) -> R
 
 
 def _frames(live: LiveRun) -> Iterator[Frame]:
-    """Our own log as far as it can be read; its verification says of a defect."""
+    """Our own log as far as it can be read; its verification names a defect."""
     unpack = unpacker(live)
     with suppress(LogError):
         for _, frame in read_log(live.log):

@@ -13,7 +13,7 @@ from meshpoint.testbench.command_line.parsing import subparsers
 
 SHELLS: Final = ("bash", "zsh", "fish")
 ZSH: Final = "autoload -U +X bashcompinit && bashcompinit\n"
-"""zsh takes bash's way of completing."""
+"""Lets zsh take bash's way of completing."""
 NAMED: Final[dict[str, tuple[str, ...]]] = {
     "as_built": tuple(str(profile) for profile in Profile),
     "gearbox": SHEET_NAMES,

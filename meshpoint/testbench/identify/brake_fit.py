@@ -170,13 +170,13 @@ def _equations(
     parts, own = [], []
     for number, trajectory in enumerate(trajectories):
         nodes = trajectory.nodes
-        reported = np.einsum("bn,nl->bl", trajectory.weights[:, :, 0], angles[:nodes, :, number])
-        reported += np.einsum("bn,nl->bl", trajectory.weights[:, :, 1], speeds[:nodes, :, number])
+        predicted = np.einsum("bn,nl->bl", trajectory.weights[:, :, 0], angles[:nodes, :, number])
+        predicted += np.einsum("bn,nl->bl", trajectory.weights[:, :, 1], speeds[:nodes, :, number])
         by_omega = trajectory.weights[:, :, 0] @ (
             moved[:nodes, 0, number] - angles[:nodes, 0, number]
         )
-        slopes = (reported[:, 1:] - reported[:, :1]) / probes
-        residual = trajectory.angle - reported[:, 0]
+        slopes = (predicted[:, 1:] - predicted[:, :1]) / probes
+        residual = trajectory.angle - predicted[:, 0]
         white = whitenings[number]
         nuisance = white @ np.stack((np.ones(residual.size), by_omega), axis=1)
         slopes, residual = white @ slopes, white @ residual
@@ -200,6 +200,6 @@ def _pressures(trajectory: Trajectory, felts: Vector, probes: Vector) -> tuple[V
     place = trajectory.pressure_s[inside] / GRID_S
     node = place.astype(np.int64)
     part = (place - node)[:, None]
-    reported = felts[node] * (1.0 - part) + felts[node + 1] * part
-    residual = (trajectory.pressure_pa[inside] - reported[:, 0]) / PRESSURE_SD_PA
-    return residual, (reported[:, 1:] - reported[:, :1]) / probes / PRESSURE_SD_PA
+    predicted = felts[node] * (1.0 - part) + felts[node + 1] * part
+    residual = (trajectory.pressure_pa[inside] - predicted[:, 0]) / PRESSURE_SD_PA
+    return residual, (predicted[:, 1:] - predicted[:, :1]) / probes / PRESSURE_SD_PA

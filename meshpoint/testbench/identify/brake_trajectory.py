@@ -44,35 +44,37 @@ class P(IntEnum):
     """Parameters, in the order of the vector that is fitted."""
 
     GAIN = 0
-    """log of the brake's torque over that of the data sheet"""
+    """Logarithm of the brake's torque over that of the data sheet."""
     BY_SPEED = 1
-    """change of friction, share per 1,000 rpm"""
+    """Change of friction, share per 1,000 rpm."""
     BY_TIME = 2
-    """change of friction from the log's first run to its last, share: discs warm"""
+    """Change of friction from the log's first run to its last, as a share: discs warm."""
     INERTIA = 3
-    """log of J_IS / J_LS over that of the data sheet"""
+    """Logarithm of J_IS / J_LS over that of the data sheet."""
     DRAG = 4
-    """speed-independent drag, Nm"""
+    """Drag that does not depend on speed, Nm."""
     VISCOUS = 5
-    """drag a rad/s, Nms"""
+    """Drag for each rad/s, Nms."""
     ON_DELAY = 6
+    """Delay of the valve from its command to its opening, s."""
     OFF_DELAY = 7
-    """of the valve, s"""
+    """Delay of the valve from its command to its closing, s."""
     FILLING = 8
+    """Logarithm of the filling rate over that of the data sheet's time constant."""
     EMPTYING = 9
-    """log of the rates over those of the data sheet's time constant"""
+    """Logarithm of the emptying rate over that of the data sheet's time constant."""
     TOUCH = 10
-    """gauge pressure at which the pads touch, bar"""
+    """Gauge pressure at which the pads touch, bar."""
     SUPPLY = 11
-    """true supply pressure less the measured one, bar"""
+    """True supply pressure less the measured one, bar."""
     SENSOR_LAG = 12
-    """log of the lag of the pressure sensor at the brake over `TYPICAL_LAG_S`"""
+    """Logarithm of the lag of the pressure sensor at the brake over `TYPICAL_LAG_S`."""
     CRITICAL = 13
-    """pressure ratio up to which the valve's flow is choked"""
+    """Pressure ratio up to which the valve's flow is choked."""
     INPUT_VISCOUS = 14
-    """drag of the input shaft a rad/s of its own, Nms"""
+    """Drag of the input shaft for each rad/s of its own, Nms."""
     PLATES = 15
-    """drag of the open clutch's plates, toward the engine's speed, Nm at the input shaft"""
+    """Drag of the open clutch's plates, toward the engine's speed, Nm at the input shaft."""
 
 
 COUNT: Final = len(P)
@@ -123,11 +125,11 @@ class Trajectory:
     edges: Vector
     """How many edges each bin has."""
     nodes_of_edges: Vector
-    """Of each edge: its place among the grid's nodes, as a real number;"""
+    """Of each edge: its place among the grid's nodes, as a real number."""
     theta_rad: Vector
-    """its nominal angle less the first one's,"""
+    """Of each edge: its nominal angle less the first one's."""
     place: Vector
-    """and which of the wheel's edges it is."""
+    """Of each edge: which of the wheel's edges it is."""
     first_node: int
     nodes: int
     start_us: float

@@ -48,7 +48,7 @@ def add_parser(commands: Any) -> None:
         "identify",
         description="Works out from a log what its gearbox is like: brake, valve, "
         "drag, inertia ratio, sleeve delays, kiss point, teeth, each with a 95 % interval; and "
-        "says what the log does not tell, and why. Sensor frames and valve commands are used, "
+        "says what the log does not show, and why. Sensor frames and valve commands are used, "
         "whoever sent them; exit code 4 where no equations of motion fit them (docs/replay.md).",
     )
     parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=arguments.LOGS_HELP)

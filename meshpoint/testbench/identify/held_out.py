@@ -67,10 +67,10 @@ def check_runs(
 def _end_errors(trajectory: Trajectory, angles: Vector, speeds: Vector) -> Vector:
     """Measured less predicted speed at the end, of each lane, the first speeds being equal."""
     weights, nodes = trajectory.weights, trajectory.nodes
-    reported = np.einsum("bn,nl->bl", weights[:, :, 0], angles[:nodes])
-    reported += np.einsum("bn,nl->bl", weights[:, :, 1], speeds[:nodes])
+    predicted = np.einsum("bn,nl->bl", weights[:, :, 0], angles[:nodes])
+    predicted += np.einsum("bn,nl->bl", weights[:, :, 1], speeds[:nodes])
     seconds = (weights[:, :, 0] @ np.arange(nodes) - trajectory.first_node) * GRID_S
-    rest = trajectory.angle[:, None] - reported
+    rest = trajectory.angle[:, None] - predicted
     begin, end = rest[:ENDS], rest[-ENDS:]
     at_begin, at_end = seconds[:ENDS] - seconds[0], seconds[-ENDS:] - seconds[-1]
     return np.asarray(np.polyfit(at_end, end, 1)[0] - np.polyfit(at_begin, begin, 1)[0])

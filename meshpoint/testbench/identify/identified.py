@@ -1,4 +1,4 @@
-"""What identification reports: figures with intervals, or why there is none."""
+"""What identification finds: figures with intervals, or why there is none."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEAST_RUNS: Final = 5
 
 @dataclass(frozen=True)
 class Figure:
-    """One quantity. All values in `unit`; None where the log does not tell it."""
+    """One quantity. All values in `unit`; None where the log does not show it."""
 
     name: str
     unit: str
@@ -59,7 +59,7 @@ class Identified:
 
 
 def untold(found: Identified, why: str, *names_units: tuple[str, str, float | None]) -> None:
-    """Names figures that the log does not tell, and why."""
+    """Names figures that the log does not show, and why."""
     for name, unit, of_sheet in names_units:
         found.figures.append(Figure(name, unit, None, None, None, of_sheet, 0, why))
 

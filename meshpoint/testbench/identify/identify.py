@@ -1,4 +1,4 @@
-"""All that a log says of a gearbox: values with 95 % intervals, and what it does not tell and why.
+"""All that a log says of a gearbox: values with 95 % intervals, and what it does not show, and why.
 
 Each run in neutral, stroke and closing of the log is kept out in turn: the rest gives the interval
 (jackknife), and predicts what was kept out (held-out check).
@@ -62,7 +62,7 @@ def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None)
 
 
 def _silent(_step: str) -> None:
-    """Nobody is reported."""
+    """Reports nothing."""
 
 
 def _zero_pa(content: LogContent, sheet: GearboxSheet) -> float:

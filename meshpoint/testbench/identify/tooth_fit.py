@@ -52,17 +52,18 @@ class ToothFit:
     """Errors of 2 z edges, and without each group of runs."""
 
     error_rad: Vector
+    """Of each of the wheel's edges, (2 z,)."""
     without: Vector
-    """(groups, 2 z)"""
+    """The same without each group of runs, (groups, 2 z)."""
     judder: Vector
     """Amplitudes of what the brake adds, at 100 rad/s and full pressure: cosine and sine once a
     turn, then twice (rad)."""
     held_out_rad: float = 0.0
-    """RMS of the angles' errors in groups of runs, by what the others say of the teeth;"""
+    """RMS of the angles' errors in groups of runs, by what the others say of the teeth."""
     nominal_rad: float = 0.0
-    """by a perfect wheel,"""
+    """RMS of the same errors by a perfect wheel."""
     spans: int = 0
-    """in this many parts of runs."""
+    """In how many parts of runs these errors were taken."""
 
     @property
     def sd_rad(self) -> Vector:

@@ -60,7 +60,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Capture:
-    """Edge times of one channel in us: of the wheel's sensor, and of another channel that reports
+    """Edge times of one channel in us: of the wheel's sensor, and of another channel that shows
     where its turns begin, if there is one. A polarity that is not used is empty."""
 
     name: str

@@ -48,7 +48,7 @@ def _by_gaps(lead_us: Integers, wheel: FoundWheel) -> Integers:
     teeth = present[places]
     behind_gaps = np.flatnonzero(np.append(False, steps[places[:-1]] > 1.0))
     for at in np.flatnonzero(breaks):
-        # Between two gaps all teeth look alike: where it breaks there cannot be determined.
+        # Between two gaps all teeth look alike: where between them it breaks cannot be determined.
         k = int(np.searchsorted(behind_gaps, at, "right"))
         begin = behind_gaps[k - 1] if k else 0
         end = behind_gaps[k] if k < behind_gaps.size else teeth.size

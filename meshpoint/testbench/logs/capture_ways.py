@@ -203,7 +203,7 @@ def _seconds(columns: Columns, channel: int) -> Iterator[np.ndarray]:
 
 
 def _once(lines: list[str]) -> list[str]:
-    """Equal reasons of one channel reported once."""
+    """Equal reasons of one channel, each once."""
     reported: dict[str, list[str]] = {}
     for line in lines:
         way, reason = line.split(": ", 1)

@@ -84,7 +84,7 @@ class CaptureRow:
     """Turns' marks (gaps, or the second channel's edges) after lock, and how many disagree."""
     gaps_wrong: int
     checked: int
-    """Numbered edges whose tooth the whole file reports as well, and how many disagree."""
+    """Numbered edges whose tooth the whole file shows as well, and how many disagree."""
     wrong: int
     extra_s: list[float]
     constant_speed_rms_us: float | None
@@ -201,7 +201,7 @@ def check_marks(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tu
 
 
 def check_teeth(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tuple[int, int]:
-    """Each tooth number against the one that the whole file reports (`capture_truth`): how many can
+    """Each tooth number against the one that the whole file shows (`capture_truth`): how many can
     be checked, and how many are wrong. An edge that a tooth ends with is that of the tooth whose
     beginning is the last before it."""
     lead_us = _lead_us(capture, edges)

@@ -102,7 +102,7 @@ class ClassicReplay:
         """Frames without protection that stand before the next one expected: of somebody else, if
         it follows."""
         self._has_ended = False
-        """The record has reported the controller's end."""
+        """The record has shown the controller's end."""
         self._intruders: Counter[int] = Counter()
         self.sessions: list[Session] = []
 

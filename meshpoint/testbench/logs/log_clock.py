@@ -184,7 +184,7 @@ def _nearest_s(late_s: NDArray[np.float64], windows: int) -> NDArray[np.float64]
 
 
 class LogClockFit:
-    """Takes a log's entries in their order; `finish` reports its clock."""
+    """Takes a log's entries in their order; `finish` returns its clock."""
 
     def __init__(self, unpack: Unpack | None = None) -> None:
         """unpack: makes frames of meshpoint.dbc of those on the bus, of another profile."""
@@ -317,8 +317,9 @@ class _Shift:
     def __init__(self, unpack: Unpack | None) -> None:
         self._reads = _Reads(unpack)
         self._logged_s: float | None = None
-        """Up to here the log is shifted, and this is when it was by the sensors' clock:"""
+        """Up to this time of the log it is shifted; None at its start."""
         self._shifted_s = 0.0
+        """That time by the sensors' clock."""
         self._held: list[Entry] = []
 
     def take(self, part: Part, time_s: float, frame: Frame) -> Iterator[Entry]:
@@ -336,7 +337,7 @@ class _Shift:
             yield from self.rest(part)
 
     def rest(self, part: Part) -> Iterator[Entry]:
-        """Those whose times no later read reports."""
+        """Those whose times no later read gives."""
         if self._held and self._logged_s is not None:
             newest_s = self._held[-1][0]
             rate = part.rate if part.differs else 1.0

@@ -1,4 +1,4 @@
-"""The run header that a log names: its controller reports the header's hash in every status
+"""The run header that a log names: its controller sends the header's hash in every status
 frame."""
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ OF_CLASSIC: Final = frozenset({0x0CFF9103, 0x18FF8080})
 """ValveOrders and SensorRead, which a bus of the classic profile has all the time."""
 CLASSIC_LOG: Final = (
     "the log is of --profile classic, whose runs are repeated as they were alone: without another "
-    "strategy or settings; report reports its contacts"
+    "strategy or settings; meshpoint report shows its contacts"
 )
 NO_STATUS: Final = "the log holds no controller status frame"
 
@@ -336,7 +336,7 @@ def _without_unprotected_intruders(
     made: list[Frame], logged: list[Frame]
 ) -> tuple[list[Frame], Counter[int]]:
     """A step's frames in the log without those of J1939 that stand beside the very frame that was
-    sent: nothing else reports whose they are. And how many these are, by identifier."""
+    sent: nothing else shows whose they are. And how many these are, by identifier."""
     sent = {frame.can_id: frame for frame in made}
     own: list[Frame] = []
     others: Counter[int] = Counter()

@@ -53,7 +53,7 @@ class Session:
     holes: list[Hole] = field(default_factory=list)
 
     unlogged: int = 0
-    """Steps that the controller has made after the log's end, where a record of them reports."""
+    """Steps that the controller has made after the log's end, where a record shows them."""
 
     @property
     def goes_on(self) -> bool:

@@ -60,7 +60,7 @@ class AdapterProfile:
 
 
 class AdapterCore:
-    """A core behind an adapter, of the same call shape. `now_us` reports the bus's time."""
+    """A core behind an adapter, of the same call shape. `now_us` is the bus's time."""
 
     def __init__(self, core: Core, profile: AdapterProfile, seed: int) -> None:
         self._core = core

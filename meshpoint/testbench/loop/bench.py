@@ -87,7 +87,7 @@ def _most_main_rad_s(sheet: GearboxSheet, gear: DriveGear, layshaft_rad_s: float
     return min(layshaft_rad_s, top) * sheet.main_mesh(gear.main).ratio
 
 
-class Phase(Enum):
+class Stage(Enum):
     """What the bench is at."""
 
     RETURNING = auto()
@@ -100,7 +100,7 @@ class Phase(Enum):
 
 @dataclass
 class _Seen:
-    """What the bus said since the phase began."""
+    """What the bus said since the stage began."""
 
     ready_in: int | None = None
     ready_us: int | None = None
@@ -118,7 +118,7 @@ class BenchCore:
         self._receiver = Receiver(Node.BENCH)
         self._transmitter = Transmitter(Node.BENCH)
         self._seen = _Seen()
-        self._phase = Phase.RETURNING if plan else Phase.DONE
+        self._stage = Stage.RETURNING if plan else Stage.DONE
         self._outbox: list[Frame] = []
         self._since_us: int | None = None
         self._next_us = 0
@@ -127,23 +127,23 @@ class BenchCore:
         self.index = 0
         """Number of the shift being made."""
         self.gave_up: list[int] = []
-        """Shifts whose phase took longer than the bench's patience."""
+        """Shifts of which a stage took longer than the bench's patience."""
 
     @property
     def done(self) -> bool:
         """Whether the plan has run to its end."""
-        return self._phase is Phase.DONE
+        return self._stage is Stage.DONE
 
     @property
     def is_asking(self) -> bool:
         """Whether the new gear is being asked for, or is on its way."""
-        return self._phase in (Phase.REQUESTING, Phase.SHIFTING)
+        return self._stage in (Stage.REQUESTING, Stage.SHIFTING)
 
     def add(self, shift: PlannedShift) -> None:
         """One more shift at the end of the plan; a bench that is done goes on with it."""
         self._plan.append(shift)
-        if self._phase is Phase.DONE:
-            self._phase = Phase.RETURNING
+        if self._stage is Stage.DONE:
+            self._stage = Stage.RETURNING
             self._seen = _Seen(status=self._seen.status)
             self._since_us = None
 
@@ -187,15 +187,15 @@ class BenchCore:
         return Step([], [])
 
     def _go_on(self, now_us: int) -> list[str]:
-        if self._phase is Phase.DONE:
+        if self._stage is Stage.DONE:
             return []
         waited_us = now_us - (self._since_us or 0)
         if self._is_over(now_us, waited_us):
             return self._advance(now_us)
         if waited_us > PATIENCE_US:
             self.gave_up.append(self.index)
-            events = [f"bench: shift {self.index + 1} stuck in {self._phase.name.lower()}"]
-            self._phase = Phase.LEARNING
+            events = [f"bench: shift {self.index + 1} stuck in {self._stage.name.lower()}"]
+            self._stage = Stage.LEARNING
             return events + self._advance(now_us)
         return []
 
@@ -207,17 +207,17 @@ class BenchCore:
             and status.state is ControllerState.IN_GEAR
             and status.current_gear == shift.from_
         )
-        match self._phase:
-            case Phase.RETURNING:
+        match self._stage:
+            case Stage.RETURNING:
                 return seen.ready_in == shift.from_ and in_old_gear
-            case Phase.SETTLING:
+            case Stage.SETTLING:
                 locked_us = now_us - (seen.ready_us or 0)
                 pauses = self._pauses
                 least_us = pauses.locked_least_us(shift.from_)
                 return waited_us >= pauses.settle_us and locked_us >= least_us
-            case Phase.REQUESTING:
+            case Stage.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
-            case Phase.SHIFTING:
+            case Stage.SHIFTING:
                 return seen.outcome
             case _:
                 return waited_us >= self._learning_us
@@ -232,28 +232,28 @@ class BenchCore:
 
     def _advance(self, now_us: int) -> list[str]:
         following = {
-            Phase.RETURNING: Phase.SETTLING,
-            Phase.SETTLING: Phase.REQUESTING,
-            Phase.REQUESTING: Phase.SHIFTING,
-            Phase.SHIFTING: Phase.LEARNING,
-            Phase.LEARNING: Phase.RETURNING,
+            Stage.RETURNING: Stage.SETTLING,
+            Stage.SETTLING: Stage.REQUESTING,
+            Stage.REQUESTING: Stage.SHIFTING,
+            Stage.SHIFTING: Stage.LEARNING,
+            Stage.LEARNING: Stage.RETURNING,
         }
-        self._phase = following[self._phase]
+        self._stage = following[self._stage]
         self._since_us = now_us
-        if self._phase is Phase.SETTLING:
+        if self._stage is Stage.SETTLING:
             self._seen.outcome = False
-        elif self._phase is Phase.RETURNING:
+        elif self._stage is Stage.RETURNING:
             self._seen = _Seen(status=self._seen.status)
             self.index += 1
             if self.index == len(self._plan):
-                self._phase = Phase.DONE
+                self._stage = Stage.DONE
         return []
 
     def _frames(self, now_us: int) -> list[Frame]:
         frames, self._outbox = self._outbox, []
         if self._plan and self._ticks % COMMAND_EVERY == 0:
             frames.append(self._transmitter.encode(self._command()))
-        if self._phase is Phase.REQUESTING and now_us - self._asked_us >= REQUEST_EVERY_US:
+        if self._stage is Stage.REQUESTING and now_us - self._asked_us >= REQUEST_EVERY_US:
             self._asked_us = now_us
             wanted = self._plan[self.index].to
             frames.append(self._transmitter.encode(TC1(requested_gear=wanted)))
@@ -262,7 +262,7 @@ class BenchCore:
     def _command(self) -> BenchCommand:
         """The rig acts once on a new sequence number, and only while it is being returned."""
         shift = self._plan[min(self.index, len(self._plan) - 1)]
-        action = BenchAction.RETURN_TO_GEAR if self._phase is Phase.RETURNING else BenchAction.HOLD
+        action = BenchAction.RETURN_TO_GEAR if self._stage is Stage.RETURNING else BenchAction.HOLD
         return BenchCommand(
             action=action,
             gear=shift.from_,

@@ -55,7 +55,7 @@ BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
 POLL_S = 0.05
 MOST_POLLS = 20.0
-"""As many times longer it is waited between two watches a slow machine, at most."""
+"""A slow machine waits at most this many times longer from poll to poll."""
 END_S = 15.0
 OF_ADDRESS = {
     **dict.fromkeys(rig_node.ADDRESSES, "rig"),

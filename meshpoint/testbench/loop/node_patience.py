@@ -32,7 +32,7 @@ class Taken(NamedTuple):
 
 
 def taken(process: int) -> Taken | None:
-    """What a process has had so far; None where the system does not tell, or it has ended."""
+    """What a process has had so far; None where the system does not say, or it has ended."""
     try:
         # The name, in brackets, may hold anything; the state follows it.
         text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
@@ -50,7 +50,7 @@ class OwnTime:
         self._before: Taken | None = None
 
     def look(self, now: Taken | None, passed_s: float) -> None:
-        """`passed_s` after the look before. A system that does not tell counts them all."""
+        """`passed_s` after the poll before. A system that does not say counts them all."""
         before, self._before = self._before, now
         if now is None or before is None:
             self.seconds += passed_s

@@ -53,8 +53,8 @@ class Judged:
     """The one that acts: the fallback while the reference is unknown."""
     reference: str
     status: str
-    """fired; planned (a firing sent that could still be moved); waiting; refused; ended (it gave up
-    before it fired)."""
+    """One of `fired`; `planned` (a firing sent that could still be moved); `waiting`; `refused`;
+    `ended` (it gave up before it fired)."""
     fault: str
     last: Decision | None
     """Its last decision before the recorded sleeve met its gear."""
@@ -282,7 +282,7 @@ def _contact_why(
     parted: OfCommands | None,
     firing: Decision | None,
 ) -> str:
-    """Why the log does not tell where the other controller's tooth would have met."""
+    """Why the log does not show where the other controller's tooth would have met."""
     if parted is None:
         return "its commands are the recorded ones: what came of them is the log's"
     if status not in ("fired", "planned") or last is None:

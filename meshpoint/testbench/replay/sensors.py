@@ -61,7 +61,7 @@ def asked(namespace: argparse.Namespace) -> bool:
 def run(
     namespace: argparse.Namespace, files: list[Path], why: str, stop: Callable[[], bool]
 ) -> tuple[int, dict[str, Any]]:
-    """Replays, and shows what the log reports and what it does not. why: it was chosen, if it was
+    """Replays, and shows what the log shows and what it does not. why: it was chosen, if it was
     not asked for. A log that is torn gives all before that, and bad input."""
     check_report(namespace.report)
     gearbox = namespace.gearbox or DEFAULT_PRESET.sheet_name

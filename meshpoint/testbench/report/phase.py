@@ -1,6 +1,6 @@
 """The phase of a gear as a curve: samples wrapped to half a pitch, joined by what the slip says.
 
-Between two samples the slip reports about how many pitches went by, the samples tell the rest.
+Between two samples the slip shows about how many pitches went by, the samples tell the rest.
 """
 
 from __future__ import annotations

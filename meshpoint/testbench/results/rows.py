@@ -24,8 +24,8 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.results.phases import ShiftPhases, closing_since_us, phases_of
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
+from meshpoint.testbench.results.shift_parts import ShiftParts, closing_since_us, parts_of
 from meshpoint.units import DEG, RPM
 
 CONTACT_KINDS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
@@ -70,7 +70,7 @@ class ShiftRow:
     preset thesis, which has no vehicle."""
     reference_source: str = "none"
     """Where a known reference came from: measured, restored or narrowed."""
-    phases: ShiftPhases = field(default_factory=ShiftPhases)
+    phases: ShiftParts = field(default_factory=ShiftParts)
     """Where the time went, by the rig's truth."""
     bound_ms: float | None = None
     """The kinematic bound; None where there is none, or what was drawn for the rig is not known."""
@@ -147,7 +147,7 @@ class RowCollector:
         target = DRIVE_GEARS[outcome.to_gear].main
         contact = next((c for c in self._contacts if c.gear == MainGear(target)), None)
         cost = _cost([event for event in self._events if event.gear == MainGear(target)])
-        phases = phases_of(self._events, outcome.request_time_us, outcome.end_time_us)
+        parts = parts_of(self._events, outcome.request_time_us, outcome.end_time_us)
         self._contacts.clear()
         self._events.clear()
         known = outcome.reference is PhaseReference.KNOWN
@@ -183,7 +183,7 @@ class RowCollector:
             ratchets=cost.ratchets,
             blocked=cost.blocked,
             reference_source=outcome.reference_source.name.lower(),
-            phases=phases,
+            phases=parts,
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
         )
 

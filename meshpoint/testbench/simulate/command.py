@@ -37,15 +37,15 @@ from meshpoint.testbench.report.write import (
     report_provenance,
     write_report,
 )
-from meshpoint.testbench.results.gates import (
+from meshpoint.testbench.results.junit import write_junit, write_text
+from meshpoint.testbench.results.limits import (
     MEANINGS,
-    Gate,
-    GateResult,
+    Limit,
+    LimitResult,
     judge,
     markdown,
-    parse_gate,
+    parse_limit,
 )
-from meshpoint.testbench.results.junit import write_junit, write_text
 from meshpoint.testbench.results.output import (
     complain,
     complain_of_strategy,
@@ -78,15 +78,15 @@ def add_parser(commands: Any) -> None:
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
-    _add_gates(parser)
+    _add_limits(parser)
     parser.set_defaults(run=run)
 
 
-def _add_gates(parser: argparse.ArgumentParser) -> None:
+def _add_limits(parser: argparse.ArgumentParser) -> None:
     """--fail-if, --junit and --markdown."""
     parser.add_argument(
         "--fail-if",
-        type=_gate,
+        type=_limit,
         action="append",
         default=[],
         metavar='"FIGURE < LIMIT"',
@@ -101,9 +101,9 @@ def _add_gates(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _gate(text: str) -> Gate:
+def _limit(text: str) -> Limit:
     try:
-        return parse_gate(text)
+        return parse_limit(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 
@@ -255,20 +255,20 @@ def _setup(
 
 
 def _write_results(
-    namespace: argparse.Namespace, setup: Setup, result: Result, judged: list[GateResult]
+    namespace: argparse.Namespace, setup: Setup, result: Result, judged: list[LimitResult]
 ) -> None:
     """--json, --junit and --markdown."""
     name = setup.settings.strategy_name
     if namespace.json is not None:
-        gates = {"gates": [each.to_json() for each in judged]} if judged else {}
-        write_json(namespace.json, result.to_json(name) | gates)
+        limits = {"gates": [each.to_json() for each in judged]} if judged else {}
+        write_json(namespace.json, result.to_json(name) | limits)
     summary = summarise(name, result.rows)
     if namespace.junit is not None:
         stuck = [f"shift {number + 1} had no outcome" for number in result.stuck]
         if result.interrupted:
             stuck.append(f"interrupted after {len(result.rows)} of {setup.shifts} shifts")
         cases = [("every shift came to an outcome", "; ".join(stuck))]
-        cases += [(f"not {each.gate}", each.words if each.failed else "") for each in judged]
+        cases += [(f"not {each.limit}", each.words if each.failed else "") for each in judged]
         said = f"{len(result.rows)} shifts, {name}, seed {setup.seed}, {setup.gearbox_words}"
         write_junit(namespace.junit, "simulate", cases, said)
     if namespace.markdown is not None:

@@ -1,4 +1,4 @@
-"""A run reported in plain words, one line an event, from the frames of the bus alone.
+"""A run in plain words, one line an event, from the frames of the bus alone.
 
 What only the rig knows (contact, locking, injected faults) is marked as the truth: on a real
 gearbox these lines are not there.
@@ -102,7 +102,7 @@ class Line(NamedTuple):
     of_request_ms: float | None
     """Milliseconds since the gear was asked for, by the sensor clock; None outside a shift."""
     who: str
-    """driver, controller, gearbox, truth, bus or bench."""
+    """One of driver, controller, gearbox, truth, bus or bench."""
     words: str
 
     def to_json(self) -> dict[str, object]:
@@ -145,7 +145,7 @@ class Story:
         }
 
     def receive(self, time_s: float, frame: Frame) -> list[Line]:
-        """One frame, heard at `time_s`; what is to be reported after it."""
+        """One frame, heard at `time_s`; the lines that it gives."""
         if self._begin_s is None:
             self._begin_s = time_s
         self._lines = []

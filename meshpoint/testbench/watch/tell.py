@@ -82,7 +82,7 @@ def run(namespace: argparse.Namespace) -> int:
     except LogError as error:
         if not reported:
             raise
-        complain(f"meshpoint tell: {error}; what is reported is all that stands before it")
+        complain(f"meshpoint tell: {error}; what is shown is all that stands before it")
         return Exit.BAD_INPUT
     if not reported:
         out.print("meshpoint tell: nothing to tell: no message of the DBC says an event")

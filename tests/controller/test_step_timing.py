@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.step_phase import LONGER_US, MOST_MOVED_US, StepPhase
+from meshpoint.controller.sensing.step_timing import LONGER_US, MOST_MOVED_US, StepTiming
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import EdgesInputRise
 from meshpoint.gearbox import load_sheet
@@ -31,7 +31,7 @@ def steps(
 ) -> list[tuple[int, int | None]]:
     """Sensor times of this many steps, each with the age of the newest read that was whole. Frames
     come `first_us` to `last_us` after their read, and late by up to a jitter."""
-    phase, rng = StepPhase(TICK_US), np.random.default_rng(1)
+    timing, rng = StepTiming(TICK_US), np.random.default_rng(1)
     now_us, seen, found = START_US + begin_us, [0, 0], []
     late = rng.integers(0, jitter_us + 1, count * TICK_US // cycle_us + 500)
     for _ in range(count):
@@ -47,11 +47,11 @@ def steps(
                 else:
                     inputs.sleeves_aux.append(SimpleNamespace(sample_time_us=stamp))
                 seen[k] += 1
-        phase.take(inputs, now_us)
+        timing.take(inputs, now_us)
         whole_us = START_US + (seen[1] - 1) * cycle_us
         found.append((now_us, now_us - whole_us if seen[1] else None))
-        assert abs(phase.sooner_us) <= MOST_MOVED_US
-        now_us += TICK_US - phase.sooner_us
+        assert abs(timing.sooner_us) <= MOST_MOVED_US
+        now_us += TICK_US - timing.sooner_us
     return found
 
 
@@ -88,20 +88,20 @@ def inputs_of(*read_us: int) -> Any:
 
 def steps_after(late: tuple[int, ...], between_every: int, count: int) -> list[int]:
     """Ages of the newest read at this many steps. A read's frames come after 800 us; the first
-    reads come as late as reported, and every this many steps one between two ticks takes the frames
-    of a read before the tick does."""
-    phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
+    reads come as late as given, and one step in `between_every` lies between two ticks and takes
+    the frames of a read before the tick does."""
+    timing, now_us, read, ages = StepTiming(TICK_US), START_US + 900, 0, []
     for k in range(count):
         came = []
         while now_us >= START_US + read * TICK_US + (late[read] if read < len(late) else 800):
             came.append(START_US + read * TICK_US)
             read += 1
         if between_every and k % between_every == 0:
-            phase.between(inputs_of(*came), now_us - 50)
+            timing.between(inputs_of(*came), now_us - 50)
             came = []
-        phase.take(inputs_of(*came), now_us)
+        timing.take(inputs_of(*came), now_us)
         ages.append(now_us - (START_US + (read - 1) * TICK_US))
-        now_us += TICK_US - phase.sooner_us
+        now_us += TICK_US - timing.sooner_us
     return ages
 
 
@@ -116,15 +116,15 @@ def test_after_a_time_of_late_frames_steps_come_soon_again(between_every: int) -
 
 def test_a_machine_that_stood_still_does_not_make_steps_wait() -> None:
     """What lay waiting then says of the machine, not of the bus: red before."""
-    phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
+    timing, now_us, read, ages = StepTiming(TICK_US), START_US + 900, 0, []
     for k in range(400):
         came = []
         while not 200 <= k < 203 and now_us >= START_US + read * TICK_US + 800:
             came.append(START_US + read * TICK_US)
             read += 1
-        phase.take(inputs_of(*came), now_us)
+        timing.take(inputs_of(*came), now_us)
         ages.append(now_us - (START_US + (read - 1) * TICK_US))
-        now_us += TICK_US - phase.sooner_us
+        now_us += TICK_US - timing.sooner_us
     assert max(ages[220:]) < 900 + 4 * LONGER_US
 
 
@@ -136,10 +136,10 @@ def test_with_another_cycle_than_a_tick_steps_stay_ticks(cycle_us: int) -> None:
 
 
 def test_without_edges_steps_stay_ticks() -> None:
-    phase = StepPhase(TICK_US)
+    timing = StepTiming(TICK_US)
     for k in range(20):
-        phase.take(StepInputs(), START_US + k * TICK_US)
-        assert phase.sooner_us == 0
+        timing.take(StepInputs(), START_US + k * TICK_US)
+        assert timing.sooner_us == 0
 
 
 @pytest.mark.parametrize("begin_us", [0, 2_500, 5_000, 9_700])

@@ -32,45 +32,45 @@ MEANINGS: Final = {
 _FORM: Final = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)(%?)\s*")
 
 
-class Gate(NamedTuple):
+class Limit(NamedTuple):
     """What must not be so."""
 
     figure: str
     operator: str
-    limit: float
+    value: float
 
     def __str__(self) -> str:
-        return f"{self.figure} {self.operator} {self.limit:g}"
+        return f"{self.figure} {self.operator} {self.value:g}"
 
 
-class GateResult(NamedTuple):
-    """A gate, and what came of it."""
+class LimitResult(NamedTuple):
+    """A limit, and what came of it."""
 
-    gate: Gate
+    limit: Limit
     value: float | None
     """None: the run has no such figure."""
 
     @property
     def failed(self) -> bool:
-        """A figure that there is not passes no gate."""
+        """A figure that there is not keeps no limit."""
         if self.value is None:
             return True
-        return OPERATORS[self.gate.operator](self.value, self.gate.limit)
+        return OPERATORS[self.limit.operator](self.value, self.limit.value)
 
     @property
     def words(self) -> str:
         """In a line."""
         if self.value is None:
-            return f"{self.gate.figure} cannot be judged: no shift of this run has it"
+            return f"{self.limit.figure} cannot be judged: no shift of this run has it"
         verdict = "failed" if self.failed else "passed"
-        return f"{verdict}: {self.gate.figure} is {self.value:.6g} (fails if {self.gate})"
+        return f"{verdict}: {self.limit.figure} is {self.value:.6g} (fails if {self.limit})"
 
     def to_json(self) -> dict[str, Any]:
         """By name."""
-        return {"fail_if": str(self.gate), "value": self.value, "failed": self.failed}
+        return {"fail_if": str(self.limit), "value": self.value, "failed": self.failed}
 
 
-def parse_gate(text: str) -> Gate:
+def parse_limit(text: str) -> Limit:
     """`FIGURE < LIMIT`, per cent where a % follows. ValueError says what is allowed."""
     found = _FORM.fullmatch(text)
     if found is None or found[1] not in MEANINGS:
@@ -79,10 +79,10 @@ def parse_gate(text: str) -> Gate:
             f"{', '.join(MEANINGS)}"
         )
     try:
-        limit = float(found[3])
+        value = float(found[3])
     except ValueError:
         raise ValueError(f"{text!r}: {found[3]!r} is no number") from None
-    return Gate(found[1], found[2], limit / 100.0 if found[4] else limit)
+    return Limit(found[1], found[2], value / 100.0 if found[4] else value)
 
 
 def figures(summary: Summary, rows: Sequence[ShiftRow]) -> Mapping[str, float | None]:
@@ -102,14 +102,14 @@ def figures(summary: Summary, rows: Sequence[ShiftRow]) -> Mapping[str, float | 
     }
 
 
-def judge(gates: Sequence[Gate], summary: Summary, rows: Sequence[ShiftRow]) -> list[GateResult]:
-    """Each gate against the run."""
+def judge(limits: Sequence[Limit], summary: Summary, rows: Sequence[ShiftRow]) -> list[LimitResult]:
+    """Each limit against the run."""
     values = figures(summary, rows)
-    return [GateResult(gate, values[gate.figure]) for gate in gates]
+    return [LimitResult(limit, values[limit.figure]) for limit in limits]
 
 
 def markdown(
-    title: str, summary: Summary, rows: Sequence[ShiftRow], judged: Sequence[GateResult]
+    title: str, summary: Summary, rows: Sequence[ShiftRow], judged: Sequence[LimitResult]
 ) -> str:
     """A run's summary for a pull request or a job's page."""
     lines = [f"# {title}", ""]
@@ -118,7 +118,7 @@ def markdown(
         for each in judged:
             value = "none" if each.value is None else f"{each.value:.6g}"
             lines.append(
-                f"| `{each.gate}` | {value} | {'**failed**' if each.failed else 'passed'} |"
+                f"| `{each.limit}` | {value} | {'**failed**' if each.failed else 'passed'} |"
             )
         lines.append("")
     lines += ["| figure | value |", "|---|---|"]

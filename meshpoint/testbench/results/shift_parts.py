@@ -1,7 +1,8 @@
-"""Where the time of a shift goes, by the rig's truth: the phases between the moments it reports.
+"""Where the time of a shift goes, by the rig's truth: its parts between the moments that it
+reports.
 
-A phase ends at its moment and begins at the last moment before it that there was, so the parts of a
-shift add up to its duration. A phase that a shift does not have is None: the brake in a downshift,
+A part ends at its moment and begins at the last moment before it that there was, so the parts of a
+shift add up to its duration. A part that a shift does not have is None: the brake in a downshift,
 the old gear's teeth in a shift of the splitter alone, the clutch in the preset thesis.
 """
 
@@ -19,7 +20,7 @@ CONTACTS: Final = (_E.GAP_CONTACT, _E.TOOTH_CONTACT)
 
 
 @dataclass(frozen=True)
-class ShiftPhases:
+class ShiftParts:
     """How long each part of a shift took, ms; in their order."""
 
     ramp_ms: float | None = None
@@ -46,9 +47,9 @@ class ShiftPhases:
     shift, not part of its duration."""
 
 
-PHASES: Final = tuple(field.name for field in fields(ShiftPhases))
-DURING: Final = PHASES[:-1]
-"""The phases that add up to the duration."""
+PARTS: Final = tuple(field.name for field in fields(ShiftParts))
+DURING: Final = PARTS[:-1]
+"""The parts that add up to the duration."""
 TITLES: Final = {
     "ramp_ms": "torque ramp",
     "parting_ms": "clutch parting",
@@ -63,7 +64,7 @@ TITLES: Final = {
 }
 
 
-def phases_of(events: list[ReferenceEngagement], request_us: int, end_us: int) -> ShiftPhases:
+def parts_of(events: list[ReferenceEngagement], request_us: int, end_us: int) -> ShiftParts:
     """The parts of a shift from its request to its end, 32-bit times of the sensor clock (us);
     events: what the rig has reported since the gear before."""
     reported = [(event.event, span_us(event.event_time_us, request_us)) for event in events]
@@ -91,7 +92,7 @@ def phases_of(events: list[ReferenceEngagement], request_us: int, end_us: int) -
     for moment in moments:
         spent.append(None if moment is None else max(0, moment - since) / 1000.0)
         since = since if moment is None else max(since, moment)
-    return ShiftPhases(*spent)
+    return ShiftParts(*spent)
 
 
 def closing_since_us(events: Iterable[ReferenceEngagement], end_us: int) -> int:

@@ -10,7 +10,7 @@ from meshpoint.dbc.messages import EngagementEvent as E
 from meshpoint.dbc.messages import MainGear, ReferenceEngagement
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
-from meshpoint.testbench.results.phases import DURING, closing_since_us, phases_of
+from meshpoint.testbench.results.shift_parts import DURING, closing_since_us, parts_of
 
 TRUCK12 = load_sheet("truck12")
 MAIN_RAD_S = 1400.0 * math.pi / 30.0 * TRUCK12.main_mesh(MainGear.FIRST).ratio
@@ -29,7 +29,7 @@ def reported(moments: tuple[tuple[E, float], ...], start_us: int = 0) -> list[Re
 
 
 def phases(moments: tuple[tuple[E, float], ...], end_ms: float, start_us: int = 0) -> dict:
-    found = phases_of(
+    found = parts_of(
         reported(moments, start_us), start_us, (start_us + round(1e3 * end_ms)) % WRAP_US
     )
     return {name: value for name, value in vars(found).items() if value is not None}

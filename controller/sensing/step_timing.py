@@ -17,12 +17,13 @@ from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.dbc.messages import EdgesInputRise
 
 LONGER_US: Final = 300
-"""Frames that had not all come are awaited for so much longer,"""
+"""After a step before which frames had not all come, they are awaited for so much longer."""
 SHORTER_US: Final = 1
-"""and after each step that had them all for so much less,"""
+"""After each step that had them all, they are awaited for so much less."""
 SOONER_AFTER: Final = 300
-"""and by so much again after each this many of these in a row. So one step in some two hundred
-comes too soon, and a time in which frames came late is forgotten within seconds."""
+"""After this number of steps in a row that had them all, they are awaited for `SHORTER_US` less
+once more with each. So one step in some two hundred comes too soon, and a time in which frames came
+late is forgotten within seconds."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
 MOST_SHARE: Final = 0.8
@@ -31,21 +32,21 @@ CYCLE_SHARE: Final = 0.02
 """The sensors' cycle may differ so much from a tick; with another one there is nothing to keep."""
 
 
-class StepPhase:
+class StepTiming:
     """How much sooner the next step should come than a tick after this one."""
 
     def __init__(self, tick_us: int) -> None:
         self._tick_us = tick_us
         self._waits_us = 0
-        """How long after a read its frames are awaited,"""
+        """How long after a read its frames are awaited."""
         self._had_all = 0
-        """and how many steps in a row have had them all."""
+        """How many steps in a row have had them all."""
         self._read_us: int | None = None
-        """When the newest read was made of which a frame has come (sensor time),"""
+        """When the newest read was made of which a frame has come (sensor time)."""
         self._ticks = 0
-        """how many ticks ago that was taken,"""
+        """How many ticks ago that read's frame came."""
         self._whole_us: int | None = None
-        """and when the newest was made of which all have."""
+        """When the newest read was made of which all frames have come (sensor time)."""
         self._is_kept = False
         """Whether reads follow each other as ticks do."""
         self.sooner_us = 0
@@ -79,7 +80,8 @@ class StepPhase:
             self._waits_us = max(0, self._waits_us - shorter_us)
         else:
             self._had_all = 0
-            # By no more for a step that was itself held up: it says of the machine, not of a read.
+            # By no more for a step that was itself held up: that is the machine's doing, not the
+            # read's.
             longer_us = min(self._waits_us, age_us) + LONGER_US
             self._waits_us = min(max(self._waits_us, longer_us), round(MOST_SHARE * self._tick_us))
         self._move(age_us)

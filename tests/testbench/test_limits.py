@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.results.gates import MEANINGS, Gate, figures, judge, parse_gate
+from meshpoint.testbench.results.limits import MEANINGS, Limit, figures, judge, parse_limit
 from meshpoint.testbench.results.rows import ShiftRow, summarise
 
 ROOT = Path(__file__).parents[2]
@@ -27,7 +27,7 @@ NEUTRAL = replace(ROW, result="ended_in_neutral", contact=None, reference="unkno
 
 
 def judged(text: str, *rows: ShiftRow) -> tuple[float | None, bool]:
-    found = judge([parse_gate(text)], summarise("target_phase", list(rows)), rows)[0]
+    found = judge([parse_limit(text)], summarise("target_phase", list(rows)), rows)[0]
     return found.value, found.failed
 
 
@@ -54,7 +54,7 @@ def test_a_gate_fails_where_its_figure_is_so(text: str, value: float, failed: bo
     assert is_failed is failed
 
 
-def test_a_figure_that_no_shift_has_passes_no_gate() -> None:
+def test_a_figure_that_no_shift_has_keeps_no_limit() -> None:
     assert judged("first_contact_gap < 0.95", NEUTRAL) == (None, True)
     assert judged("duration_ms_max > 1000", NEUTRAL) == (None, True)
 
@@ -72,8 +72,8 @@ def test_every_figure_is_there_and_documented() -> None:
 )
 def test_what_is_no_gate_is_said(text: str) -> None:
     with pytest.raises(ValueError, match=r"allowed is FIGURE < LIMIT|is no number"):
-        parse_gate(text)
-    assert parse_gate(" engaged<100 % ".replace(" %", "%")) == Gate("engaged", "<", 1.0)
+        parse_limit(text)
+    assert parse_limit(" engaged<100 % ".replace(" %", "%")) == Limit("engaged", "<", 1.0)
 
 
 def test_the_command_ends_with_1_and_leaves_what_ci_reads(
@@ -82,13 +82,13 @@ def test_the_command_ends_with_1_and_leaves_what_ci_reads(
     command = ["simulate", "--shifts", "1", "--preset", "thesis"]
     files = {name: tmp_path / name for name in ("run.json", "junit.xml", "run.md")}
     left = ["--json", str(files["run.json"]), "--junit", str(files["junit.xml"])]
-    gates = ["--fail-if", "engaged < 1", "--fail-if", "duration_ms_max > 100"]
-    assert main([*command, *left, "--markdown", str(files["run.md"]), *gates]) == 1
+    limits = ["--fail-if", "engaged < 1", "--fail-if", "duration_ms_max > 100"]
+    assert main([*command, *left, "--markdown", str(files["run.md"]), *limits]) == 1
     said = capsys.readouterr()
     assert "failed: duration_ms_max is" in said.err
     assert "passed: engaged is 1 (fails if engaged < 1)" in said.out
     kept = json.loads(files["run.json"].read_text())["gates"]
-    assert [gate["failed"] for gate in kept] == [False, True]
+    assert [limit["failed"] for limit in kept] == [False, True]
     suite = ET.fromstring(files["junit.xml"].read_text())
     assert (suite.get("tests"), suite.get("failures")) == ("3", "1")
     assert suite.find("testcase[@name='not duration_ms_max > 100']/failure") is not None
