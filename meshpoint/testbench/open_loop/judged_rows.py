@@ -105,8 +105,8 @@ def judged_words(rows: Sequence[JudgedRow], asked: str) -> str:
     fired = sum(shift.fired_ms is not None for shift in judged)
     parted = sum(shift.parted is not None for shift in judged)
     text = (
-        f"{asked} judged in {len(judged)} of {len(rows)} recorded shifts: fires in {fired}, differs "
-        f"from what was recorded in {parted}. Contacts are the log's; {_landings(judged, asked)}."
+        f"{asked} judged in {len(judged)} of {len(rows)} recorded shifts: fires in {fired}, "
+        f"differs from what was recorded in {parted}. Contacts are the log's; {_landings(judged, asked)}."
     )
     strayed = [shift.strayed_at_step for shift in judged if shift.strayed_at_step is not None]
     if strayed:
