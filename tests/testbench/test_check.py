@@ -326,6 +326,7 @@ def test_a_dead_bus_is_one_line_that_says_what_was_listened_to(channel: str, cap
     assert len(bad) == 1
     assert {f["group"] for f in record["findings"]} == {"interface", "messages"}
     assert "by hand" not in asked
+    assert asked.startswith("listening for 0.3 s on meshpoint channel")
 
 
 def test_a_bus_that_only_repeats_what_is_not_ours_is_no() -> None:

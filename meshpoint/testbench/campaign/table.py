@@ -42,7 +42,7 @@ def _strategies(values: dict[str, Any], gearbox: str) -> Table:
 def _phases(values: dict[str, Any], gearbox: str) -> Table:
     """Where the milliseconds go: mean of each phase over the shifts that have it."""
     table = Table(
-        title=f"mean ms by phase, by the rig's truth,\n{gearbox}", title_justify="left",
+        title=f"mean ms by part of the shift, by the rig's truth,\n{gearbox}", title_justify="left",
         box=None, pad_edge=False,
     )  # fmt: skip
     strategies: dict[str, dict[str, Any]] = values["strategies"]

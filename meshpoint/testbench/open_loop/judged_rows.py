@@ -106,7 +106,8 @@ def judged_words(rows: Sequence[JudgedRow], asked: str) -> str:
     parted = sum(shift.parted is not None for shift in judged)
     text = (
         f"{asked} judged in {len(judged)} of {len(rows)} recorded shifts: fires in {fired}, "
-        f"differs from what was recorded in {parted}. Contacts are the log's; {_landings(judged, asked)}."
+        f"differs from what was recorded in {parted}. Contacts are the log's; "
+        f"{_landings(judged, asked)}."
     )
     strayed = [shift.strayed_at_step for shift in judged if shift.strayed_at_step is not None]
     if strayed:
