@@ -26,7 +26,7 @@ class NextGap:
         self.settle_us = round(1e6 * (brake.valve_delay_s + 3 * brake.time_constant_s))
 
     def release(self, predictor, now_us, earliest_us):
-        """When to let the brake go, and when contact is expected then."""
+        """When to release the brake, and when contact is expected then."""
         latest_us = earliest_us + 1_000_000
         release_us = predictor.release_time_us(earliest_us, latest_us, 30 * RPM, self.settle_us)
         return release_us, release_us + self.settle_us

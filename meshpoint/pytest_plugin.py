@@ -1,5 +1,6 @@
 """The pytest plugin: a fixture `bench`, on the backend that the command line chooses.
 
+    @pytest.mark.meshpoint(as_built="clean")
     def test_ten_meets_the_gap(bench):
         bench.learn(10)
         assert bench.shift(10).contact == "gap"

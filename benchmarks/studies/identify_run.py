@@ -1,4 +1,4 @@
-"""A job of study `identify`: one drawn gearbox, a log of its shifts, and what the log told of it
+"""A job of study `identify`: one drawn gearbox, a log of its shifts, and what the log shows of it
 beside what it is."""
 
 from __future__ import annotations

@@ -206,7 +206,7 @@ def _loop_statement(rows: list[_Row]) -> Statement:
         f"closed loop: {'; '.join(words)}",
         ThesisVerdict.NOT_COMPARABLE,
         f"over the shifts of each target that could aim, {known} at least, so that one shift is "
-        f"{100.0 / known:.0f} %; the strategy is told to hold the target before all else. Near the "
+        f"{100.0 / known:.0f} %; the strategy is set to hold the target before all else. Near the "
         "gap's edges the spread of delay and estimate puts teeth on faces",
     )
 

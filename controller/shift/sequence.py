@@ -1,6 +1,6 @@
 """The shift sequence: a table of states, a handler each (thesis 2.2).
 
-Up: clutch open, old gear out, brake the layshaft, let the brake go, fire the sleeve, see by
+Up: clutch open, old gear out, brake the layshaft, release the brake, fire the sleeve, see by
 position that the gear is in, close valve and clutch. Down: the engine first brings the layshaft
 above the new gear's speed, through the closed clutch; from there it falls as on the way up.
 Splitter and range move while the main box is in neutral.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -15,7 +16,8 @@ import meshpoint
 from meshpoint.pytest_plugin import Benches
 
 pytest_plugins = ["pytester"]
-TEN = Path(__file__).parents[2] / "examples" / "test_shifts.py"
+ROOT = Path(__file__).parents[2]
+TEN = ROOT / "examples" / "test_shifts.py"
 HEAVY = ("numpy", "can", "cantools", "numba", "meshpoint.api", "meshpoint.testbench")
 
 
@@ -40,6 +42,15 @@ def forget_tests(_snapshot: SysModulesSnapshot) -> None:
 def test_the_same_ten_tests_pass_in_virtual_time(inner: pytest.Pytester) -> None:
     shutil.copy(TEN, inner.path)
     inner.runpytest_inprocess().assert_outcomes(passed=10)
+
+
+@pytest.mark.parametrize("page", ["pytest.md", "ci.md"])
+def test_the_first_test_of_a_page_passes_as_it_stands_there(
+    page: str, inner: pytest.Pytester
+) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+    inner.makepyfile(test_of_the_page=next(text for text in blocks if "def test_" in text))
+    inner.runpytest_inprocess().assert_outcomes(passed=1)
 
 
 @pytest.mark.long

@@ -135,6 +135,16 @@ def test_a_message_that_is_missing_slow_or_damaged_is_no(driving) -> None:
     assert "none good" in found(heard(damaged))["GearboxSensors"].text
 
 
+def test_a_rate_is_the_bus_s_own_while_bus_time_waits_for_a_busy_machine(driving) -> None:
+    listener = heard(driving[: len(driving) // 2])
+    silent_s = 2.0
+    listener.heard.idle(listener.heard.now_s + silent_s)
+    for time_s, frame in driving[len(driving) // 2 :]:
+        listener.take(time_s + silent_s, message_of(frame, time_s + silent_s))
+    assert found(listener)["GearboxSensors"].text.startswith("100.")
+    assert found(listener)["GearboxSensors"].verdict is Verdict.GOOD
+
+
 def test_no_air_and_a_dragging_brake_are_no(driving) -> None:
     def change(m):
         if isinstance(m, GearboxSensors):
@@ -316,6 +326,7 @@ def test_a_dead_bus_is_one_line_that_says_what_was_listened_to(channel: str, cap
     assert len(bad) == 1
     assert {f["group"] for f in record["findings"]} == {"interface", "messages"}
     assert "by hand" not in asked
+    assert asked.startswith("listening for 0.3 s on meshpoint channel")
 
 
 def test_a_bus_that_only_repeats_what_is_not_ours_is_no() -> None:

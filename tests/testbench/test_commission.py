@@ -71,6 +71,14 @@ def test_a_finding_of_a_sound_box_does_not_pass_for_another_ones(sound: Rehearse
     assert not Miswiring(sensors=(Shaft.INPUT, Shaft.MAIN)).is_named_by(sound.findings)
 
 
+def test_a_bus_on_which_nothing_is_sent_names_what_is_missing() -> None:
+    core = CommissionCore(SHEET, consents=True)
+    while not core.done:
+        core.step(core.next_step_us)
+    assert core.stopped.startswith("inputs are missing: GearboxSensors, SleevesMain, SleevesAux, ")
+    assert "are the other nodes on, and on this bus?" in core.stopped
+
+
 def test_one_box_in_ten_is_drawn_miswired() -> None:
     drawn = [draw_miswiring(seed) for seed in range(1000)]
     assert 70 < sum(wrong.is_any for wrong in drawn) < 130

@@ -186,6 +186,12 @@ def test_a_bus_without_a_controller_is_said(monkeypatch, capsys) -> None:
     assert bench.now_s - began_s == pytest.approx(2.0, abs=0.1)
 
 
+def test_a_wait_for_a_controller_is_said_once(monkeypatch, capsys) -> None:
+    _, _, said = ask(Bench(speaks=False), monkeypatch, capsys)
+    assert said.count("no controller is heard on") == 1
+    assert said.index("waits for 10 s") < said.index("no controller was heard")
+
+
 def test_a_controller_that_falls_silent_is_said(monkeypatch, capsys) -> None:
     bench = Bench()
     speak = bench.recv

@@ -1,4 +1,4 @@
-"""The truck's plant run ahead: phase and slip of a gear for any moment of letting the brake go.
+"""The truck's plant run ahead: phase and slip of a gear for any moment of releasing the brake.
 
 One trunk with the brake as commanded but never released, and from its samples branches with the
 brake released. What a release changes, beyond the slip it begins with, is interpolated between the

@@ -122,6 +122,7 @@ def run(namespace: argparse.Namespace) -> int:
     listener = Listener(sheet, arguments.unpack_all_of(namespace, sheet) if is_classic else None)
     with bus:
         socket_finding = judge_socket(bus)
+        complain(f"listening for {namespace.seconds:g} s on {bus.channel_info}")
         try:
             _listen(bus, listener, namespace.seconds)
             turned = _ask_to_turn(bus, listener, namespace) if listener.frames else []

@@ -141,10 +141,21 @@ class CommissionCore(HearingCore):
         if self._trial is not None:
             self._trial.take(message)
 
+    def _missing(self) -> str:
+        heard = {
+            GearboxSensors: self._sensors is not None,
+            SleevesMain: Sleeve.CRAWL_THIRD in self._positions_m,
+            SleevesAux: Sleeve.RANGE in self._positions_m,
+            ValveStatus: self._status is not None,
+        }
+        return ", ".join(kind.__name__ for kind, is_heard in heard.items() if not is_heard)
+
     def _refusal(self) -> str:
         """Why no output may be driven now; empty if one may."""
         if self._sensors is None or self._status is None or len(self._positions_m) < len(Sleeve):
-            return "inputs are missing"
+            return (
+                f"inputs are missing: {self._missing()}; are the other nodes on, and on this bus?"
+            )
         if not self._receiver.all_valid(NEEDED):
             return "an input is lost"
         if self._lacks_air(self._sensors):

@@ -24,7 +24,7 @@ from meshpoint.testbench.results.difference import Allowed, Difference, differen
 COLUMNS: Final = (
     "shift",
     "gears",
-    "parts, ms",
+    "differs, ms",
     "in",
     "A fires, ms",
     "B fires, ms",
@@ -106,9 +106,9 @@ def decided_rows(decided: Decided) -> list[tuple[str, ...]]:
 
 
 def knew_heading(number: int, parting: Parting[Any]) -> str:
-    """Over what each knew in the step in which they part; number: of the shift, from 1."""
+    """Over what each knew in the step in which they first differ; number: of the shift, from 1."""
     return (
-        f"Shift {number} parts {_ms(parting)} ms after the request, in "
+        f"Shift {number} differs {_ms(parting)} ms after the request, in "
         f"{', '.join(parting.differ)}. What each knew there"
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -34,6 +35,8 @@ from meshpoint.testbench.results.output import complain, tell
 AGAIN_S = 0.2
 """The request is repeated until the controller is seen to act on it."""
 POLL_S = 0.05
+SILENT_S = 2.0
+"""How long nothing is said while no controller is heard."""
 
 
 def add_parser(commands: Any) -> None:
@@ -83,6 +86,10 @@ def _wait(
     receiver = Receiver(Node.BENCH)
     asking = _Asking(gear, timeout_s, time.monotonic())
     while not asking.over(now_s := time.monotonic()):
+        if asking.begins_to_wait(now_s):
+            _complain(
+                f"no controller is heard on {bus.channel_info} yet; waits for {timeout_s:g} s"
+            )
         if asking.due(now_s):
             bus.send(request)
         received = bus.recv(POLL_S)
@@ -107,6 +114,7 @@ class _Asking:
         self._asked = 0
         self._acting = False
         self._status: ControllerStatus | None = None
+        self._says_waiting_s = now_s + SILENT_S
         self._late: Counter[FaultCode] = Counter()
         """Outcomes that only a late node was to blame for."""
         self._waited_s = 0.0
@@ -121,6 +129,13 @@ class _Asking:
         self._again_s = now_s + AGAIN_S
         self._asked += 1
         return True
+
+    def begins_to_wait(self, now_s: float) -> bool:
+        """Whether to say that no controller is heard; once."""
+        begins = self._status is None and now_s >= self._says_waiting_s
+        if begins:
+            self._says_waiting_s = math.inf
+        return begins
 
     def over(self, now_s: float) -> bool:
         """Whether the time is up: that of the bus, or the wall's where no controller is heard."""

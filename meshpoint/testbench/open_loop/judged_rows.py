@@ -63,7 +63,7 @@ def judged_table(title: str, rows: Sequence[JudgedRow]) -> Table:
     for column in ("from", "to"):
         table.add_column(column, justify="right")
     table.add_column("strategy", no_wrap=True)
-    for column in ("fires\nms", "expects\ndeg", "parts\nms", "lands\ndeg", "gap\n%"):
+    for column in ("fires\nms", "expects\ndeg", "differs\nms", "lands\ndeg", "gap\n%"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("log:\nstrategy", no_wrap=True)
     table.add_column("log:\ncontact", no_wrap=True)
@@ -105,8 +105,9 @@ def judged_words(rows: Sequence[JudgedRow], asked: str) -> str:
     fired = sum(shift.fired_ms is not None for shift in judged)
     parted = sum(shift.parted is not None for shift in judged)
     text = (
-        f"{asked} judged in {len(judged)} of {len(rows)} recorded shifts: fires in {fired}, parts "
-        f"from what was recorded in {parted}. Contacts are the log's; {_landings(judged, asked)}."
+        f"{asked} judged in {len(judged)} of {len(rows)} recorded shifts: fires in {fired}, "
+        f"differs from what was recorded in {parted}. Contacts are the log's; "
+        f"{_landings(judged, asked)}."
     )
     strayed = [shift.strayed_at_step for shift in judged if shift.strayed_at_step is not None]
     if strayed:

@@ -100,7 +100,7 @@ def add_parser(commands: Any) -> None:
         type=arguments.strategy_name,
         metavar="NAME|FILE.py:CLASS",
         help="what another strategy decides on the same frames, each recorded shift by itself: "
-        "when it fires, the phase it then expects, where it parts from what was recorded "
+        "when it fires, the phase it then expects, when it first differs from what was recorded "
         "(docs/replay.md); a log that a strategy of your own has made is repeated with that same "
         "file",
     )

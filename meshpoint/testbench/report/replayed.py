@@ -33,7 +33,7 @@ HEAD: Final = [
     ("shift", ""), ("gears", ""), ("recorded: fired, ms", NUMBER_CLASS), ("recorded contact", ""),
     ("acts", ""), ("decision", ""), ("brake off, ms", NUMBER_CLASS), ("fires, ms", NUMBER_CLASS),
     ("expects phase, % of pitch", NUMBER_CLASS), ("expects slip, rpm", NUMBER_CLASS),
-    ("parts, ms", NUMBER_CLASS),
+    ("differs, ms", NUMBER_CLASS),
     ("would land, % of pitch, 95 %", NUMBER_CLASS), ("chance of a gap, %", NUMBER_CLASS),
     ("why no landing is reported", "text"),
 ]  # fmt: skip

@@ -101,7 +101,7 @@ class Heard:
         """Of the sensor side and of the controller, as their frames tell them."""
         self._begin_s: float | None = None
         self._idle_us = 0
-        """Time without any frame."""
+        """Time without any frame, since the last one."""
         self.sensor_us: int | None = None
         """The newest sensor time heard, 32 bits; None before the first."""
 
@@ -114,6 +114,7 @@ class Heard:
         """One frame; its message where it passed every check. Never raises on a bad one."""
         self._begin_s = time_s if self._begin_s is None else self._begin_s
         self.now_s = max(self.now_s, time_s)
+        self._idle_us = 0  # a clock of the bus that went on meanwhile says so itself
         self.frames += 1
         frame = canonical(frame)
         verdict, message = self._receiver.receive(frame)
@@ -135,8 +136,9 @@ class Heard:
         further. A bus time that waits for a busy machine is not mistaken for silence. Where
         neither speaks it is the time of the log."""
         reported_us = max(clock.total_us for clock in self._clocks)
-        heard_us = round((self.now_s - (self._begin_s or self.now_s)) * 1e6)
-        return self._idle_us + (reported_us or heard_us)
+        if not reported_us:
+            return round((self.now_s - (self._begin_s or self.now_s)) * 1e6)
+        return reported_us + self._idle_us
 
     def idle(self, now_s: float) -> None:
         """Nothing has come up to now: ages grow, and what stays away is no longer valid."""

@@ -241,7 +241,7 @@ class Story:
             return
         if message.decision is ShiftDecision.RELEASE:
             ahead_ms = span_us(message.release_time_us, message.decision_time_us) / 1000
-            self._tell("controller", f"lets the brake go in {ahead_ms:.1f} ms")
+            self._tell("controller", f"releases the brake in {ahead_ms:.1f} ms")
         elif message.decision is ShiftDecision.COMMITTED:
             contact_ms = span_us(message.contact_time_us, message.decision_time_us) / 1000
             self._tell(
