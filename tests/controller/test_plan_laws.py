@@ -33,6 +33,7 @@ LONGEST_US = 600_000
 """No contact is planned further ahead of that."""
 GRID_US = 2_000
 """Contacts are compared in steps of at most this."""
+UNAIMED = st.sampled_from(("speed_window", "speed_window_anticipating"))
 NAMES = st.sampled_from(("speed_window", "speed_window_anticipating", "target_phase"))
 SLIPS_RPM, PRESSURES_PA, ANGLES = st.floats(-20.0, 90.0), st.floats(0.0, 2e5), st.floats(0.0, PITCH)
 
@@ -157,11 +158,11 @@ def test_a_release_comes_before_its_contact_and_both_in_their_time(
 
 
 @settings(max_examples=20)
-@given(name=NAMES, slower_rpm=st.floats(150.0, 300.0), more_rpm=st.floats(20.0, 150.0))
+@given(name=UNAIMED, slower_rpm=st.floats(150.0, 300.0), more_rpm=st.floats(1.0, 150.0))
 def test_a_gear_that_is_faster_is_braked_for_longer(
     name: str, slower_rpm: float, more_rpm: float
 ) -> None:
-    """By more than the aim moves a release."""
+    """One that aims may take the gap before, and release sooner for it."""
     less, more = (
         release(name, braking(slip, 0.0)).release_us for slip in (slower_rpm, slower_rpm + more_rpm)
     )
