@@ -135,6 +135,11 @@ LOGS_HELP: Final = (
 """What a command that reads logs takes."""
 
 
+def add_logs(parser: Arguments) -> None:
+    """LOG, one or more."""
+    parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=LOGS_HELP)
+
+
 def add_gearbox(parser: Arguments, has_preset: bool = False) -> None:
     """--gearbox; `has_preset`: beside --preset, whose own data sheet is the default."""
     others = (preset for preset in Preset if has_preset and preset is not DEFAULT_PRESET)

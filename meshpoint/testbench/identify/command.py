@@ -51,7 +51,7 @@ def add_parser(commands: Any) -> None:
         "says what the log does not show, and why. Sensor frames and valve commands are used, "
         "whoever sent them; exit code 4 where no equations of motion fit them (docs/replay.md).",
     )
-    parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=arguments.LOGS_HELP)
+    arguments.add_logs(parser)
     parser.add_argument(
         "--gearbox",
         metavar="NAME|FILE",

@@ -68,13 +68,7 @@ def add_parser(commands: Any) -> None:
         "the log. With --gap-rate it says how often the log's controller met the gap, and how "
         "often another one would have.",
     )
-    parser.add_argument(
-        "log",
-        type=Path,
-        nargs="+",
-        metavar="LOG",
-        help=arguments.LOGS_HELP,
-    )
+    arguments.add_logs(parser)
     parser.add_argument(
         "--jobs",
         type=arguments.whole(1, 1024),

@@ -7,7 +7,6 @@ import json
 import sys
 import textwrap
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from rich.text import Text
@@ -41,13 +40,7 @@ def add_parser(commands: Any) -> None:
         "Columns: seconds of the log, milliseconds since the gear was asked for by the sensor "
         "clock, who, what. Lines marked `truth` come from the virtual rig alone.",
     )
-    parser.add_argument(
-        "log",
-        type=Path,
-        nargs="+",
-        metavar="LOG",
-        help=arguments.LOGS_HELP,
-    )
+    arguments.add_logs(parser)
     parser.add_argument(
         "--only",
         choices=tuple(STYLES),
