@@ -301,6 +301,7 @@ class ControllerCore:
             observer.view.supply_pa,
             None if engine is None else engine.engine_speed_rad_s,
             *torque,
+            is_self_tested=self._guard.is_proven,
         )
 
     @property

@@ -143,6 +143,8 @@ class ShiftSequence(ShiftContext):
         """A drive gear is requested. Returns a line for the log if the request is refused."""
         if self.state not in (State.IN_GEAR, State.NEUTRAL) or self._rests(snapshot):
             return None
+        if not snapshot.is_self_tested:
+            return None  # as while starting: the clutch would open, and every valve stay blocked
         current = snapshot.view.gear_number
         if number == current:
             return None

@@ -47,3 +47,5 @@ class StepSnapshot:
     """Its torque there, as a share of its reference torque; None without one."""
     engine_torque_step: float = 0.01
     """The step in which that torque is reported."""
+    is_self_tested: bool = True
+    """Whether the guard's self-test is passed: before that it lets no valve be driven."""

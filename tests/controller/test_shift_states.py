@@ -76,6 +76,7 @@ class Box:
     face: Callable[[float], bool] = lambda _: False
     """Whether a tooth is in the way at a phase."""
     supply_pa: float = 9.5e5
+    is_self_tested: bool = True
     hears_propeller: bool = True
 
     def __post_init__(self) -> None:
@@ -255,6 +256,7 @@ class Box:
             "layshaft": tracker, "main": main, "speeds": speeds, "lost": self.lost,
             "driven": reported, "supply_pa": self.supply_pa, "engine_rad_s": self.engine,
             "engine_torque_share": round(self.torque, 2),
+            "is_self_tested": self.is_self_tested,
         }  # fmt: skip
         return StepSnapshot(**(values | other))
 
@@ -311,6 +313,17 @@ WAYS: Final = {
     SPLIT: [State.IN_GEAR, State.CLUTCH_OPENING, State.SPLITTER_CHANGING, State.CLUTCH_CLOSING,
             State.IN_GEAR],
 }  # fmt: skip
+
+
+def test_no_request_is_taken_before_the_guard_s_self_test_is_passed() -> None:
+    """A shift begun before would open the clutch and then find every valve blocked (row 12)."""
+    box = Box(7, 150.0, phase_rad=0.01, is_self_tested=False).ready()
+    for _ in range(60):
+        box.ask(9)
+        assert box.step() is State.IN_GEAR
+    assert (box.records, box.clutch) == ([], 1.0)
+    box.is_self_tested = True
+    assert box.shift(9).result is ShiftResult.ENGAGED
 
 
 @pytest.mark.parametrize("way", WAYS)
