@@ -23,6 +23,7 @@ from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
 from meshpoint.controller.shift.engage import CALLS, engage, recall, retract
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
+from meshpoint.controller.shift.halt import stand
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
@@ -54,6 +55,7 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.CLUTCH_PARTING: part_clutch,
     State.COASTING: coast,
     State.ENGAGING: engage,
+    State.HALTED: stand,
     State.RETRACTING: retract,
     State.CLUTCH_CLOSING: close_clutch,
     State.FAULTED: wait_for_position,

@@ -39,7 +39,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     predictor = context.predictor(gear, snapshot)
     if predictor is None:
         return None
-    fired = _fire_if_due(context, predictor, snapshot)
+    fired = fire_if_due(context, predictor, snapshot)
     if fired is not None:
         return fired
     if shift.release_us is not None and snapshot.earliest_us >= shift.release_us:
@@ -58,7 +58,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     _plan_release(context, predictor, snapshot)
     if shift.release_us is not None and _acting(context, gear).aims:
         # The firing may come before the release: the sleeve takes longer than the brake to fade.
-        _plan_firing(context, predictor, snapshot)
+        plan_firing(context, predictor, snapshot, snapshot.earliest_us)
     return None
 
 
@@ -70,7 +70,7 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     predictor = context.predictor(shift.target.main, snapshot)
     if predictor is None:
         return None
-    fired = _fire_if_due(context, predictor, snapshot)
+    fired = fire_if_due(context, predictor, snapshot)
     if fired is not None:
         return fired
     if predictor.steady_slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
@@ -79,11 +79,11 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         shift.plan = shift.release_us = None
         context.all_off(snapshot.now_us)
         return Trigger.TOO_FAST
-    _plan_firing(context, predictor, snapshot)
+    plan_firing(context, predictor, snapshot, snapshot.earliest_us)
     return None
 
 
-def _fire_if_due(
+def fire_if_due(
     context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot
 ) -> Trigger | None:
     """Enters the firing as done once the activation that was sent can no longer be changed."""
@@ -95,6 +95,7 @@ def _fire_if_due(
         shift.plan = None
         return None
     shift.attempts += 1
+    shift.first_fire_us = shift.first_fire_us or plan.fire_us
     shift.measured_contact_us = None
     context.free_predictor, context.firing_predictor = None, predictor
     context.decision = plan._replace(decision=ShiftDecision.COMMITTED)
@@ -172,7 +173,10 @@ def _acting(context: ShiftContext, gear: MainGear) -> EngagementStrategy:
     return context.strategist.acting(context.reference_known(gear))
 
 
-def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> None:
+def plan_firing(
+    context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot, earliest_us: int
+) -> None:
+    """Plans the firing anew, for an activation at `earliest_us` or later, and sends it."""
     shift, strategist = context.running, context.strategist
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
@@ -180,7 +184,7 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
         shift.reference_source = context.references.source(shift.target.main)
     acting = _acting(context, shift.target.main)
     shift.strategy, shift.aimed = strategist.wire(acting), acting.aims
-    contact_us, plan = acting.contact(predictor, snapshot.now_us, snapshot.earliest_us), None
+    contact_us, plan = acting.contact(predictor, snapshot.now_us, earliest_us), None
     if contact_us is not None:
         plan = strategist.plan_at(predictor, contact_us, ShiftDecision.FIRE)
     if plan is not None and plan.slip_rad_s < context.settings.window.least_rad_s:
@@ -192,7 +196,7 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     if plan is None:
         context.board.off(valve)
         waiting = ShiftDecision.WAIT_FOR_GAP if acting.aims else ShiftDecision.WAIT_FOR_SLIP
-        context.decision = strategist.plan_at(predictor, snapshot.earliest_us, waiting)._replace(
+        context.decision = strategist.plan_at(predictor, earliest_us, waiting)._replace(
             fire_us=0, contact_us=0
         )
     else:

@@ -35,6 +35,8 @@ class Trigger(IntEnum):
     ENGAGED = auto()
     BLOCKED = auto()
     """The sleeve has to go back: it rests on a tooth, or would meet one."""
+    ABORTED = auto()
+    """The sleeve would meet a tooth: it is stopped short of the teeth."""
     RETRACTED = auto()
     GAVE_UP = auto()
     GEAR_UNKNOWN = auto()
@@ -64,6 +66,10 @@ TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
     (_S.COASTING, _T.TOO_FAST): _S.SYNCHRONISING,
     (_S.ENGAGING, _T.ENGAGED): _S.CLUTCH_CLOSING,
     (_S.ENGAGING, _T.BLOCKED): _S.RETRACTING,
+    (_S.ENGAGING, _T.ABORTED): _S.HALTED,
+    (_S.HALTED, _T.FIRED): _S.ENGAGING,
+    (_S.HALTED, _T.BLOCKED): _S.RETRACTING,
+    (_S.HALTED, _T.ENGAGED): _S.CLUTCH_CLOSING,
     (_S.RETRACTING, _T.RETRACTED): _S.COASTING,
     (_S.CLUTCH_CLOSING, _T.FOUND_IN_GEAR): _S.IN_GEAR,
     (_S.CLUTCH_CLOSING, _T.FOUND_IN_NEUTRAL): _S.NEUTRAL,
@@ -83,6 +89,7 @@ IN_SHIFT: Final = (
     _S.CLUTCH_PARTING,
     _S.COASTING,
     _S.ENGAGING,
+    _S.HALTED,
     _S.RETRACTING,
 )
 """The states of a shift that is under way; from each it can be given up."""
@@ -118,6 +125,12 @@ class ShiftRecord:
     attempts: int = 0
     calls: int = 0
     """How often a sleeve was recalled before it had moved."""
+    aborts: int = 0
+    """How often a sleeve on its way was stopped short of the teeth."""
+    halt_m: float = 0.0
+    """Where the sleeve stood after the last abort, from neutral."""
+    first_fire_us: int | None = None
+    """The activation of the first firing."""
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""
     beyond_us: int | None = None

@@ -58,15 +58,29 @@ OFF_HELD_US: Final = 1_000_000
 """An `off` older than this is sent as OFF_NOW, long before its 32-bit time becomes ambiguous."""
 
 
+FOREVER_US: Final = 1 << 62
+
+
 class SwitchCommand(NamedTuple):
-    """The valve is to be `on` from sensor time `time_us`; `before` is its state until then."""
+    """The valve is to be `on` from sensor time `time_us`; `before` is its state until then. A pulse
+    ends at `until_us`."""
 
     time_us: int
     on: bool
     before: bool
+    until_us: int = FOREVER_US
+
+    def at(self, time_us: int) -> bool:
+        """Whether the valve is driven at a sensor time."""
+        if time_us < self.time_us:
+            return self.before
+        return self.on and time_us < self.until_us
+
+    def rests(self, now_us: int) -> bool:
+        """Whether the valve is off and stays so."""
+        return not self.at(now_us) and (not self.on or now_us >= self.until_us)
 
 
-FOREVER_US: Final = 1 << 62
 OFF: Final = SwitchCommand(-(1 << 62), False, False)
 
 
@@ -85,6 +99,14 @@ class ValveBoard:
         self._commands[valve] = SwitchCommand(time_us, on, before)
         self._message = None
 
+    def pulse(self, valve: ValveName, on_us: int, off_us: int, now_us: int) -> None:
+        """Switch the valve on from one sensor time to another; replaces what was still to come.
+
+        A valve has one slot at the valve side: the end is sent when the beginning has passed."""
+        before = self.driven(valve, now_us)
+        self._commands[valve] = SwitchCommand(on_us, True, before, off_us)
+        self._message = None
+
     def all_off(self) -> None:
         """Everything off at once."""
         self._commands = dict.fromkeys(ValveName, OFF)
@@ -97,8 +119,7 @@ class ValveBoard:
 
     def driven(self, valve: ValveName, time_us: int) -> bool:
         """Whether the valve is driven at a sensor time, as commanded."""
-        command = self._commands[valve]
-        return command.on if time_us >= command.time_us else command.before
+        return self._commands[valve].at(time_us)
 
     def command(self, valve: ValveName) -> SwitchCommand:
         """The command as it stands."""
@@ -108,8 +129,9 @@ class ValveBoard:
         """The next sensor time at which hardware that cannot schedule needs a frame; else None."""
         if self._timing is ValveTiming.SCHEDULED:
             return None
-        times = [c.time_us for c in self._commands.values() if c.time_us > now_us]
-        return min(times, default=None)
+        times = [t for c in self._commands.values() for t in (c.time_us, c.until_us) if t > now_us]
+        next_us = min(times, default=FOREVER_US)
+        return None if next_us == FOREVER_US else next_us
 
     def message(self, now_us: int) -> ValveCommand:
         """The command frame's content at a sensor time; kept until something changes."""
@@ -126,13 +148,18 @@ class ValveBoard:
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message's content changes although no new command is given."""
         held_us = 0 if self._timing is ValveTiming.IMMEDIATE else OFF_HELD_US + 1
-        times = [c.time_us + held_us for c in self._commands.values()]
+        times = [
+            switch_us + held_us
+            for c in self._commands.values()
+            for switch_us in (c.time_us, c.until_us)
+        ] + [c.time_us for c in self._commands.values() if c.until_us < FOREVER_US]
         return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)
 
     def _action(self, command: SwitchCommand, now_us: int) -> tuple[ValveAction, int]:
         if self._timing is ValveTiming.IMMEDIATE:
-            on = command.on if now_us >= command.time_us else command.before
-            return (ValveAction.ON_NOW if on else ValveAction.OFF_NOW), 0
+            return (ValveAction.ON_NOW if command.at(now_us) else ValveAction.OFF_NOW), 0
+        if command.until_us < FOREVER_US and now_us >= command.time_us:
+            command = SwitchCommand(command.until_us, False, True)
         if not command.on and command.time_us < now_us - OFF_HELD_US:
             return ValveAction.OFF_NOW, 0
         action = ValveAction.ON_AT if command.on else ValveAction.OFF_AT

@@ -57,6 +57,31 @@ def test_a_release_that_is_planned_leaves_the_valve_driven_until_then() -> None:
         assert not board.driven(ValveName.BRAKE, T0 + 50_000)
 
 
+def test_of_a_pulse_the_end_goes_out_once_the_beginning_has_passed() -> None:
+    """A valve has one slot: the end would replace a beginning that is still to come."""
+    board = scheduled()
+    board.pulse(ValveName.MAIN_FIRST, T0 + 12_000, T0 + 22_500, T0)
+    sent = [board.message(T0 + ms * 1_000) for ms in (0, 11, 12, 20, 30, 1_100)]
+    on = (ValveAction.ON_AT, 5_012_000)
+    off = (ValveAction.OFF_AT, 5_022_500)
+    said = [(message.main_first_action, message.main_first_time_us) for message in sent]
+    assert said == [on, on, off, off, off, (ValveAction.OFF_NOW, 0)]
+    driven = [board.driven(ValveName.MAIN_FIRST, T0 + us) for us in (11_999, 12_000, 22_499, 22_500)]
+    assert driven == [False, True, True, False]
+    command = board.command(ValveName.MAIN_FIRST)
+    assert [command.rests(T0 + us) for us in (0, 12_000, 22_500)] == [False, False, True]
+
+
+def test_hardware_that_cannot_schedule_is_told_both_ends_of_a_pulse_at_their_moments() -> None:
+    board = immediate()
+    board.pulse(ValveName.MAIN_FIRST, T0 + 12_000, T0 + 22_500, T0)
+    switches = [board.next_switch_us(T0 + us) for us in (0, 12_000, 22_500)]
+    assert switches == [T0 + 12_000, T0 + 22_500, None]
+    said = [board.message(T0 + us).main_first_action for us in (0, 12_000, 22_499, 22_500)]
+    on, off = ValveAction.ON_NOW, ValveAction.OFF_NOW
+    assert said == [off, on, on, off]
+
+
 def test_off_takes_a_command_back_at_once() -> None:
     for board in (scheduled(), immediate()):
         board.schedule(ValveName.BRAKE, True, T0, T0)

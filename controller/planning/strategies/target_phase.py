@@ -20,7 +20,7 @@ from meshpoint.controller.planning.plan_kernels import (
 )
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
-    known_until_recall_us,
+    known_until_stop_us,
     last_measurement,
     release_for_slip,
     settle_time_us,
@@ -92,8 +92,7 @@ class TargetPhase:
         self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
-        self._sheet, self._timing = sheet, settings.timing
-        self._known_us = known_until_recall_us(sheet, settings.timing)
+        self._timing = settings.timing
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -192,7 +191,7 @@ class TargetPhase:
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
-        measurement = last_measurement(self._sheet, self._timing, predictor.delay_us)
+        measurement = last_measurement(predictor, self._timing)
         first_us, step_us, phase, _ = trajectory
         settled = predictor.known_variances(first_us, step_us, phase.size, now_us, measurement)
         variances = settled + self._reference_variance
@@ -211,10 +210,11 @@ class TargetPhase:
         self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int
     ) -> tuple[float, Vector]:
         """Standard deviation of the phase at the first contact as it is predicted now, and the
-        variances that are left when the sleeve for each contact can last be recalled."""
+        variances that are left when the sleeve for each contact can last be stopped."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        before = round((max(0.0, first_us - firing_us) + self._known_us) / step_us)
+        known_us = known_until_stop_us(predictor, self._timing)
+        before = round((max(0.0, first_us - firing_us) + known_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
         now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance

@@ -1,0 +1,94 @@
+"""A sleeve on its way that would meet a tooth: stopped short of the teeth, fired again from there.
+
+The valve towards the gear goes off and the opposite one on in one instant, for some 10 ms. The
+sleeve then stands before the teeth, vented, held by friction. It is fired again from where it
+stands if that brings a good gap soon enough, and else goes back to neutral (`engage.retract`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.planning.strategies.base import BUS_US
+from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.brake_measurement import brake_holds
+from meshpoint.controller.shift.context import OPPOSITE, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.in_mesh import in_mesh
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.synchronise import fire_if_due, plan_firing, shift_aims
+from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.sleeve import Halt
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
+
+STANDS_US: Final = 150 * MS_IN_US
+"""A sleeve stands before turning teeth for no longer: a gap further off is as soon reached from
+neutral."""
+
+
+def better_halted(
+    context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot
+) -> Halt | None:
+    """How to stop the sleeve, where it can still be stopped and the contact that it is on its way
+    to is expected to cost more than another one."""
+    shift, plan = context.running, context.running.plan
+    if plan is None or not shift_aims(context) or _has_spent_its_time(context, snapshot):
+        return None
+    gear, at_us = shift.target.main, snapshot.now_us + BUS_US
+    last_us = context.sleeves.last_abort_us(gear, plan.fire_us)
+    if last_us is None or at_us > last_us:
+        return None
+    halt = context.sleeves.abort(gear, at_us)
+    if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
+        return halt
+    again = replace(predictor, delay_us=halt.again_us, delay_sd_s=halt.again_sd_s)
+    acting = context.strategist.acting(reference_known=True)
+    earliest_us = max(halt.off_us, snapshot.earliest_us + context.tick_us)
+    is_better = acting.is_to_go_back(again, snapshot.now_us, plan.contact_us, earliest_us)
+    return halt if is_better else None
+
+
+def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
+    """Stops the sleeve. The firing does not count as an attempt: nothing has touched."""
+    shift = context.running
+    gear = shift.target.main
+    shift.attempts -= 1
+    shift.aborts += 1
+    shift.plan = None
+    context.board.off(SLEEVE_VALVE[gear])
+    if halt.off_us > halt.on_us:
+        context.board.pulse(OPPOSITE[gear], halt.on_us, halt.off_us, snapshot.now_us)
+    return Trigger.ABORTED
+
+
+def stand(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+    """Before the teeth: waits for a gap within reach, and fires again."""
+    shift = context.running
+    gear = shift.target.main
+    if snapshot.view.main_gear is gear:
+        return in_mesh(context, snapshot)  # it was not stopped, and went in
+    place = context.sleeves.place(SLEEVE_OF_MAIN[gear].sleeve, snapshot.now_us)
+    shift.halt_m = place.position_m
+    braking = context.board.command(OPPOSITE[gear])
+    stopped_us = braking.until_us if braking.on else context.since_us
+    if snapshot.now_us > context.since_us + STANDS_US:
+        return Trigger.BLOCKED
+    predictor = context.predictor(gear, snapshot)
+    if predictor is None or not shift_aims(context):
+        return Trigger.BLOCKED
+    fired = fire_if_due(context, predictor, snapshot)
+    if fired is not None:
+        return fired
+    if predictor.steady_slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
+        return Trigger.BLOCKED
+    plan_firing(context, predictor, snapshot, max(snapshot.earliest_us, stopped_us))
+    is_far = shift.plan is not None and shift.plan.fire_us > context.since_us + STANDS_US
+    return Trigger.BLOCKED if is_far else None
+
+
+def _has_spent_its_time(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether aborts have taken as long as a shift may take to synchronise."""
+    first_us = context.running.first_fire_us
+    limit_us = context.settings.limits.synchronise_ms * MS_IN_US
+    return first_us is not None and snapshot.now_us - first_us > limit_us
