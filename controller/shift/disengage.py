@@ -9,6 +9,7 @@ from meshpoint.controller.shift.brake_ahead import brake_ahead
 from meshpoint.controller.shift.context import OPPOSITE, ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.shift.to_neutral import bring_to_neutral, is_under_way
 from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
@@ -44,31 +45,38 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         for valve in OPPOSITE.values():
             context.board.off(valve)
         return Trigger.MAIN_BOX_NEUTRAL
-    limits = context.settings.limits
-    # An attempt is disengage_ms with the valve on, then PULL_PAUSE_US with the valve off.
-    share_us = limits.disengage_ms * MS_IN_US + PULL_PAUSE_US
-    tried, within_us = divmod(snapshot.now_us - context.since_us, share_us)
-    if tried >= limits.attempts:
+    if gear is not None:
+        pull_out(context, snapshot, gear)
+    elif not _is_pulled(context, snapshot):
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
-    pull_out(context, snapshot, gear, within_us < limits.disengage_ms * MS_IN_US)
+    if context.running.pulls > context.settings.limits.attempts:
+        return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     brake_ahead(context, snapshot)
     return None
 
 
-def pull_out(
-    context: ShiftContext, snapshot: StepSnapshot, gear: MainGear | None, drive: bool
-) -> None:
-    """Switches the valve that pulls this gear out on as the plates part, or off; nothing if no gear
-    is in mesh. A time that can still be moved follows the clutch, and a clutch that stops or comes
-    back takes the command back."""
-    if gear is None or gear is MainGear.NEUTRAL:
-        return  # the sleeve has left its gear already
+def _is_pulled(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether sleeves that are between neutral and a gear are on their way, or can be sent on it."""
+    return not context.late(snapshot, context.settings.limits.disengage_ms) and any(
+        [bring_to_neutral(context, snapshot, gear) for gear in (MainGear.FIRST, MainGear.CRAWL)]
+    )
+
+
+def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> None:
+    """Sends the pulse that pulls this gear out as the plates part. A time that can still be moved
+    follows the clutch, and a clutch that stops or comes back takes the command back. A pulse that
+    torque on the teeth has outlasted is sent again: the torque may reverse meanwhile."""
     valve, unloaded_us = OPPOSITE[gear], context.unloaded_us(snapshot)
-    command = context.board.command(valve)
-    if not drive or unloaded_us is None:
+    shift, command = context.running, context.board.command(valve)
+    is_to_come = command.on and command.time_us > snapshot.earliest_us
+    if unloaded_us is None:
         context.board.off(valve)
-    elif not command.on:
-        context.board.schedule(valve, True, unloaded_us, snapshot.now_us)
+        return
+    if not is_to_come:
+        if is_under_way(context, snapshot, gear) or snapshot.now_us < shift.pull_again_us:
+            return
+        shift.pulls += 1
         context.references.released()
-    elif command.time_us > snapshot.earliest_us:
-        context.board.schedule(valve, True, unloaded_us, snapshot.now_us)
+    pulse = context.sleeves.pull_out(gear, unloaded_us)
+    context.board.pulse(valve, pulse.on_us, pulse.off_us, snapshot.now_us)
+    shift.pull_again_us = pulse.off_us + PULL_PAUSE_US

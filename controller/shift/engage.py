@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.strategies.base import BUS_US
-from meshpoint.controller.sensing.gearbox_view import ENGAGED_SHORT_M, ENTERED_M
+from meshpoint.controller.sensing.gearbox_view import ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import (
     DRIVEN_LATE_US,
-    FALL_US,
-    OPPOSITE,
     SLEEVE_VALVE,
     ShiftContext,
 )
-from meshpoint.controller.shift.disengage import pull_out
+from meshpoint.controller.shift.halt import abort, better_halted
+from meshpoint.controller.shift.in_mesh import in_mesh
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.synchronise import shift_aims
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
+from meshpoint.controller.shift.to_neutral import bring_to_neutral
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
-from meshpoint.units import SECOND_US
 
 CALLS: Final = 6
 """This often a sleeve may be recalled in one shift: each costs a gap's time."""
+
+
 def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Waits until the gear is in mesh, or the sleeve has rested on a tooth for too long."""
     shift = context.running

@@ -7,7 +7,6 @@ stands if that brings a good gap soon enough, and else goes back to neutral (`en
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 from meshpoint.controller.planning.gear_predictor import GearPredictor
@@ -42,7 +41,7 @@ def better_halted(
     halt = context.sleeves.abort(gear, at_us)
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         return halt
-    again = replace(predictor, delay_us=halt.again_us, delay_sd_s=halt.again_sd_s)
+    again = context.with_stroke(predictor, halt.again, halt.off_us)
     acting = context.strategist.acting(reference_known=True)
     earliest_us = max(halt.off_us, snapshot.earliest_us + context.tick_us)
     is_better = acting.is_to_go_back(again, snapshot.now_us, plan.contact_us, earliest_us)
@@ -57,8 +56,7 @@ def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
     shift.aborts += 1
     shift.plan = None
     context.board.off(SLEEVE_VALVE[gear])
-    if halt.off_us > halt.on_us:
-        context.board.pulse(OPPOSITE[gear], halt.on_us, halt.off_us, snapshot.now_us)
+    context.board.pulse(OPPOSITE[gear], halt.on_us, halt.off_us, snapshot.now_us)
     return Trigger.ABORTED
 
 
@@ -69,7 +67,7 @@ def stand(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if snapshot.view.main_gear is gear:
         return in_mesh(context, snapshot)  # it was not stopped, and went in
     place = context.sleeves.place(SLEEVE_OF_MAIN[gear].sleeve, snapshot.now_us)
-    shift.halt_m = place.position_m
+    shift.halt_m = place.m
     braking = context.board.command(OPPOSITE[gear])
     stopped_us = braking.until_us if braking.on else context.since_us
     if snapshot.now_us > context.since_us + STANDS_US:

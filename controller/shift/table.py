@@ -145,6 +145,10 @@ class ShiftRecord:
     """How the engine's torque is taken away; None: at once."""
     owed_share: float = 0.0
     """What rounding has left out of the torque asked for."""
+    pulls: int = 0
+    """How often the old gear was pulled."""
+    pull_again_us: int = 0
+    """A gear that has not come out is not pulled again before."""
     clutch_us: int | None = None
     """When the clutch set off to open."""
     release_us: int | None = None
