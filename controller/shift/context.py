@@ -80,6 +80,8 @@ class ShiftContext:
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
+        self.freed_us = 0
+        """When a sleeve between neutral and a gear was last sent to neutral, between shifts."""
         self.clutch = ClutchAction.OPEN
         self.engine_rad_s: float | None = None
         """The speed the engine is asked for; None: nothing is asked."""
@@ -172,6 +174,10 @@ class ShiftContext:
         input."""
         self.board.schedule(ValveName.BRAKE, on, time_us, snapshot.now_us)
         self.brake.schedule(time_us, on, snapshot.now_us)
+
+    def main_valves_rest(self, now_us: int) -> bool:
+        """Whether no valve of the main box is driven or will be."""
+        return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())
 
     def all_off(self, now_us: int) -> None:
         """Switches all valves off now, and enters the brake's release in the filter's input."""

@@ -41,25 +41,18 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     shift, gear = context.running, snapshot.view.main_gear
     if gear is shift.target.main and snapshot.view.range_ is shift.target.range_:
         return Trigger.MAIN_BOX_STAYS
-    if gear is MainGear.NEUTRAL:
-        for valve in OPPOSITE.values():
-            context.board.off(valve)
+    if gear is MainGear.NEUTRAL and context.main_valves_rest(snapshot.now_us):
         return Trigger.MAIN_BOX_NEUTRAL
-    if gear is not None:
-        pull_out(context, snapshot, gear)
-    elif not _is_pulled(context, snapshot):
-        return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     if context.running.pulls > context.settings.limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
+    if gear is None:
+        if context.late(snapshot, context.settings.limits.disengage_ms):
+            return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
+        bring_to_neutral(context, snapshot)
+    elif gear is not MainGear.NEUTRAL:
+        pull_out(context, snapshot, gear)
     brake_ahead(context, snapshot)
     return None
-
-
-def _is_pulled(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether sleeves that are between neutral and a gear are on their way, or can be sent on it."""
-    return not context.late(snapshot, context.settings.limits.disengage_ms) and any(
-        [bring_to_neutral(context, snapshot, gear) for gear in (MainGear.FIRST, MainGear.CRAWL)]
-    )
 
 
 def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> None:
@@ -73,7 +66,7 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
         context.board.off(valve)
         return
     if not is_to_come:
-        if is_under_way(context, snapshot, gear) or snapshot.now_us < shift.pull_again_us:
+        if is_under_way(context, snapshot) or snapshot.now_us < shift.pull_again_us:
             return
         shift.pulls += 1
         context.references.released()

@@ -1,4 +1,4 @@
-"""A main sleeve comes to rest in neutral, out of its gear or from before the teeth.
+"""Main sleeves come to rest in neutral, out of a gear or from before its teeth.
 
 A sleeve is a mass between two chambers and does not stop by itself where it is wanted: it is pulled
 by a pulse that ends before neutral, and comes to rest there in its detent.
@@ -6,31 +6,29 @@ by a pulse that ends before neutral, and comes to rest there in its detent.
 
 from __future__ import annotations
 
-from meshpoint.controller.shift.context import OPPOSITE, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.gearbox import MainGear
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
+from meshpoint.gearbox.gears import MAIN_SLEEVES
 
 
-def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> bool:
-    """Pulls a sleeve that stands before this gear's teeth, or on them, to neutral; whether that is
-    still under way."""
-    sleeve = SLEEVE_OF_MAIN[gear].sleeve
-    if is_under_way(context, snapshot, gear):
+def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Pulls the main sleeves that stand between neutral and a gear, or on its teeth, to neutral,
+    one after the other; whether that is still under way."""
+    if is_under_way(context, snapshot):
         return True
-    if snapshot.view.in_neutral(sleeve):
-        return False
-    pulse = context.sleeves.to_neutral(sleeve, snapshot.earliest_us)
-    if pulse is None:
-        return False
-    context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
-    return True
+    for sleeve in MAIN_SLEEVES:
+        if snapshot.view.in_neutral(sleeve):
+            continue
+        pulse = context.sleeves.to_neutral(sleeve, snapshot.earliest_us)
+        if pulse is not None:
+            context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
+            return True
+    return False
 
 
-def is_under_way(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> bool:
-    """Whether a valve of this gear's sleeve is driven or will be, or the sleeve still moves."""
-    now_us, board = snapshot.now_us, context.board
-    valves = (OPPOSITE[gear], SLEEVE_VALVE[gear])
-    if not all(board.command(valve).rests(now_us) for valve in valves):
+def is_under_way(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether a main valve is driven or will be, or a main sleeve still moves."""
+    if not context.main_valves_rest(snapshot.now_us):
         return True
-    return context.sleeves.place(SLEEVE_OF_MAIN[gear].sleeve, snapshot.earliest_us).is_moving
+    places = [context.sleeves.place(sleeve, snapshot.earliest_us) for sleeve in MAIN_SLEEVES]
+    return any(place.is_moving for place in places)
