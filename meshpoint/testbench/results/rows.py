@@ -26,7 +26,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
 from meshpoint.testbench.results.shift_parts import ShiftParts, closing_since_us, parts_of
-from meshpoint.units import DEG, RPM
+from meshpoint.units import DEG, MM, RPM
 
 CONTACT_KINDS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
@@ -72,6 +72,10 @@ class ShiftRow:
     """Where a known reference came from: measured, restored or narrowed."""
     phases: ShiftParts = field(default_factory=ShiftParts)
     """Where the time went, by the rig's truth."""
+    aborts: int = 0
+    """Times a sleeve on its way was stopped short of the teeth."""
+    halt_mm: float | None = None
+    """Where the sleeve stood after the last abort, from neutral; None without one."""
     bound_ms: float | None = None
     """The kinematic bound; None where there is none, or what was drawn for the rig is not known."""
 
@@ -185,6 +189,8 @@ class RowCollector:
             reference_source=outcome.reference_source.name.lower(),
             phases=parts,
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
+            aborts=outcome.aborts,
+            halt_mm=outcome.halt_position_m / MM if outcome.aborts else None,
         )
 
 

@@ -39,7 +39,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.watch.heard import Heard
-from meshpoint.units import DEG, RPM
+from meshpoint.units import DEG, MM, RPM
 
 STATES: Final = {
     ControllerState.STARTING: "starts: commands nothing before every input is valid",
@@ -258,6 +258,9 @@ class Story:
             took_ms = span_us(message.end_time_us, message.request_time_us) / 1000
             words += f": {took_ms:.0f} ms, {message.attempts} firing"
             words += "" if message.attempts == 1 else "s"
+            if message.aborts:
+                at_mm = abs(message.halt_position_m) / MM
+                words += f", {message.aborts} stopped before the teeth (last at {at_mm:.1f} mm)"
             known = message.reference is PhaseReference.KNOWN
             words += ", aimed" if known else ", phase reference not known yet"
         if message.fault is not FaultCode.NONE:
