@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import Sleeve
@@ -96,7 +96,7 @@ class Faultable(Protocol):
     """The parts of a truck that faults may change; `world.TruckWorld` implements it."""
 
     plant: TruckPlant
-    engagement: TruckEngagement
+    engagement: TruckEngagement[Any]
     script: BenchScript
     positions: PositionSensors
     clutch: TruckClutch
@@ -235,7 +235,10 @@ def _fade(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[],
 
 def _jam(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
-    sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
+    sleeve = world.script.step_sleeve(name)
+    if sleeve is None:
+        world.engagement.jam(name, True)
+        return partial(world.engagement.jam, name, False)
     sleeve.jammed = True
     return partial(setattr, sleeve, "jammed", False)
 
