@@ -15,11 +15,18 @@ from typing import Final, NamedTuple
 from meshpoint.controller.guard.limits import (
     CLEAR_M,
     GUARD_NEUTRAL_M,
+    LEAVING_M_S,
+    REACT_US,
     GuardLimits,
     end_of,
 )
 from meshpoint.controller.guard.listening import OVER_SAMPLES, SAMPLE_S
 from meshpoint.controller.guard.own_clock import signed_us
+from meshpoint.controller.guard.sleeve_motion import (
+    Drive,
+    contact_between_us,
+    longest_pulse_us,
+)
 from meshpoint.controller.guard.view import GuardInputs
 
 ACTION_BYTES: Final = slice(3, 6)
@@ -30,14 +37,15 @@ _times_us: Final = struct.Struct(f"<{VALVE_COUNT}I").unpack_from
 _SHIFTS: Final = range(0, 2 * VALVE_COUNT, 2)
 MAIN_VALVES: Final = (3, 4, 5, 6)
 SLEEVE_VALVES: Final = range(1, 9)
+OTHER_OF_MAIN: Final = {3: 4, 4: 3, 5: 6, 6: 5}
+"""The valve that pushes a main sleeve the other way."""
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
 FOREVER_US: Final = 1 << 62
-REACT_US: Final = 15_000
-"""Time from this judgement until a command of the next step can take effect: a tick and the bus."""
 CLUTCH_AHEAD_US: Final = 60_000
 """Where the clutch will be is said no further ahead."""
-LEAVING_M_S: Final = 0.05
-"""A sleeve this fast is on its way: some times what the sensors' noise gives."""
+COUNTER_US: Final = 20_000
+"""A valve that is on within so long after the other one of its sleeve brakes what that has set
+going: its chamber still pushes."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 
@@ -110,6 +118,14 @@ class GuardState:
     latched_by: int = 0
     pulls: frozenset[int] = NO_PULLS
     """Main valves driven to pull a gear out, until they are off."""
+    engages: frozenset[int] = NO_PULLS
+    """Main valves that the command passed last drove toward a gear's teeth."""
+    drives: dict[int, Drive] = field(default_factory=dict)
+    """How each main valve was driven since its sleeve was last seen to stand."""
+    stood_m: dict[int, float] = field(default_factory=dict)
+    """Where a main sleeve stood as its driven valve set it going, positive toward its gear."""
+    before_teeth_us: dict[int, int] = field(default_factory=dict)
+    """Since when a main sleeve stands between neutral and a gear's teeth."""
     proofs: int = 0
     """Steps in a row in which everything was valid; the self-test is passed at PROOF_STEPS."""
     brake_off_us: int = -FOREVER_US
@@ -133,26 +149,113 @@ class Case(NamedTuple):
     limits: GuardLimits
 
     def engaging(self) -> list[tuple[int, Span]]:
-        """Main valves whose sleeve is driven toward a gear that it has not entered yet.
+        """Main valves whose sleeve may come to the teeth of a gear that it has not entered yet.
 
-        A valve that is pulling the other gear out counts only once its sleeve is past neutral."""
+        One that pulls a gear out counts only once its sleeve is past neutral, a pulse that brakes a
+        sleeve or brings it back to neutral only where it is not proven to stop short."""
         found = []
         for valve in MAIN_VALVES:
-            span = self.spans[valve]
-            low_m = GUARD_NEUTRAL_M if valve in self.state.pulls else -GUARD_NEUTRAL_M
-            if span is not None and low_m <= self.way_m(valve) <= self.limits.contact_m:
+            span, way_m = self.spans[valve], self.way_m(valve)
+            if span is None or way_m > self.limits.contact_m:
+                continue
+            if self._pulls(valve):
+                if way_m >= GUARD_NEUTRAL_M:
+                    found.append((valve, span))
+            elif not self._stops_short(valve, span):
                 found.append((valve, span))
         return found
+
+    def _pulls(self, valve: int) -> bool:
+        """Whether the valve pulls a gear out, or has done so since it is on, or goes on with it
+        after a break before which the sleeve has not come to neutral or to stand."""
+        before, way_m = self.state.drives.get(valve), self.way_m(valve)
+        goes_on = before is not None and before.pulls and way_m < -GUARD_NEUTRAL_M
+        return valve in self.state.pulls or goes_on or way_m < -self.limits.apart_m
+
+    def _stops_short(self, valve: int, span: Span) -> bool:
+        """Whether this valve is on no longer than its sleeve takes to brake, or to come back to
+        neutral from before the other gear's teeth: it is off before the sleeve can come to its own
+        gear's, even if the next command is the first to end it."""
+        limits, way_m = self.limits, self.way_m(valve)
+        on_us = min(span.end_us, self.seen.now_us + limits.switch_again_us) - self._since_us(
+            valve, span
+        )
+        brakes_us = self._brakes_us(valve, span)
+        if way_m >= -GUARD_NEUTRAL_M and brakes_us == 0.0:
+            return False
+        return on_us <= max(longest_pulse_us(limits, way_m), brakes_us)
+
+    def _since_us(self, valve: int, span: Span) -> int:
+        """Since when the valve is on, with all its times since the sleeve was last seen to
+        stand: pulses in a row work like a longer one."""
+        drive = self.state.drives.get(valve)
+        return span.start_us if drive is None else drive.start_us
+
+    def _brakes_us(self, valve: int, span: Span) -> float:
+        """For so long this valve may be on against the push of the other one, which was on as long
+        and is off just now; 0 where there is none, or the sleeve is seen to move on toward this
+        valve's gear."""
+        before = self.last_drive(OTHER_OF_MAIN[valve])
+        gear = self.limits.main[valve]
+        if (
+            before is None
+            or span.start_us - before.end_us > COUNTER_US
+            or self.seen.speeds_m_s[gear.sleeve] * gear.direction >= LEAVING_M_S
+        ):
+            return 0.0
+        return float(min(REACT_US, before.lasted_us))
+
+    def last_drive(self, valve: int) -> Drive | None:
+        """How a main valve that is not driven any more was, since its sleeve was last seen to
+        stand."""
+        was, now_us = self.state.spans[valve], self.seen.now_us
+        before = self.state.drives.get(valve)
+        if was is None or was.start_us > now_us:
+            return before
+        start_us = was.start_us if before is None else before.start_us
+        return Drive(
+            start_us,
+            min(was.end_us, now_us),
+            valve in self.state.engages or (before is not None and before.engages),
+            valve in self.state.pulls or (before is not None and before.pulls),
+        )
+
+    def moves_on(self, sleeve: int) -> bool:
+        """Whether a main sleeve may be on its way to a gear's teeth though its valve is off: it has
+        not been seen to stand since. A valve that was on for less than its delay has moved
+        nothing."""
+        drives = [
+            self.state.drives.get(valve) if self.spans[valve] else self.last_drive(valve)
+            for valve in self.limits.valves_of(sleeve)
+        ]
+        return any(
+            drive is not None and drive.engages and drive.lasted_us > self.limits.sleeve_valve_us
+            for drive in drives
+        )
+
+    def brings_back(self, valve: int) -> bool:
+        """Whether a main valve does nothing but brake its sleeve, or bring it to neutral from where
+        it stands before the other gear's teeth."""
+        span = self.spans[valve]
+        if span is None or valve not in OTHER_OF_MAIN or self.seen.agreeing:
+            return False
+        stands = not self.moves_on(self.limits.main[valve].sleeve)
+        is_before_teeth = -self.limits.contact_m <= self.way_m(valve) < -GUARD_NEUTRAL_M
+        return self._stops_short(valve, span) and (
+            self.brakes(valve) or (stands and is_before_teeth)
+        )
+
+    def brakes(self, valve: int) -> bool:
+        """Whether a main valve works against what the other one of its sleeve has set going."""
+        span = self.spans[valve]
+        return span is not None and valve in OTHER_OF_MAIN and self._brakes_us(valve, span) > 0.0
 
     def pulling(self) -> frozenset[int]:
         """Main valves that pull a gear out: driven without a break since that gear was in mesh."""
         if self.spans is NO_SPANS:
             return NO_PULLS
         return frozenset(
-            valve
-            for valve in MAIN_VALVES
-            if self.spans[valve] is not None
-            and (valve in self.state.pulls or self.way_m(valve) < -GUARD_NEUTRAL_M)
+            valve for valve in MAIN_VALVES if self.spans[valve] is not None and self._pulls(valve)
         )
 
     def way_m(self, valve: int) -> float:
@@ -160,15 +263,41 @@ class Case(NamedTuple):
         gear = self.limits.main[valve]
         return self.seen.positions_m[gear.sleeve] * gear.direction
 
-    def contact_us(self, span: Span) -> tuple[float, float]:
+    def contact_us(self, valve: int, span: Span) -> tuple[float, float]:
         """Earliest and latest sensor time (us) at which a sleeve driven in this span meets its
-        gear."""
-        middle = span.start_us + self.limits.sleeve_delay_us
-        return middle - self.limits.sleeve_scatter_us, middle + self.limits.sleeve_scatter_us
+        gear, from where it stands as it sets off; from the teeth, if it may be on its way there
+        already."""
+        stands_m = self.way_m(valve)
+        if not self.has_not_set_off(span):
+            stands_m = self.state.stood_m.get(valve, stands_m)
+        if self.moves_on(self.limits.main[valve].sleeve):
+            stands_m = self.limits.contact_m
+        return contact_between_us(self.limits, span.start_us, stands_m)
+
+    def has_not_set_off(self, span: Span) -> bool:
+        """Whether the positions were sampled before this span can have moved anything."""
+        return self.seen.positions_us <= span.start_us + self.limits.valve_between_us[0]
+
+    def is_neutral(self, sleeve: int) -> bool:
+        """Whether a main sleeve is proven neutral: it is measured there, does not move, and nothing
+        has set it going since."""
+        return (
+            abs(self.seen.positions_m[sleeve]) <= GUARD_NEUTRAL_M
+            and abs(self.seen.speeds_m_s[sleeve]) < LEAVING_M_S
+            and not self.moves_on(sleeve)
+        )
+
+    def stands_apart(self, sleeve: int) -> bool:
+        """Whether a main sleeve stands, and its teeth touch no gear's."""
+        return (
+            abs(self.seen.positions_m[sleeve]) <= self.limits.apart_m
+            and abs(self.seen.speeds_m_s[sleeve]) < LEAVING_M_S
+            and not self.moves_on(sleeve)
+        )
 
     def main_is_neutral(self) -> bool:
         """Whether both main sleeves are proven neutral."""
-        return max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1])) <= GUARD_NEUTRAL_M
+        return self.is_neutral(0) and self.is_neutral(1)
 
     def speed(self, shaft: int) -> float | None:
         """A shaft's speed (rad/s); None if it is stale or invalid."""
@@ -202,11 +331,14 @@ class Case(NamedTuple):
         return farthest <= self.limits.clutch_open_share
 
     def teeth_are_out(self, sleeve: int, at_us: float) -> bool:
-        """Whether a main sleeve is clear of its gears' teeth at a time: it is already, or a driven
-        valve pulls it and it is seen to move out fast enough, s = a t^2 / 2 from its end."""
+        """Whether a main sleeve is clear of its gears' teeth at a time: it stands in neutral or
+        before them, or a driven valve pulls it and it is seen to move out fast enough,
+        s = a t^2 / 2 from its end."""
         limits = self.limits
         position = self.seen.positions_m[sleeve]
-        if abs(position) <= GUARD_NEUTRAL_M:
+        if self.moves_on(sleeve):
+            return False
+        if abs(position) <= GUARD_NEUTRAL_M or self.stands_apart(sleeve):
             return True
         pulled = any(limits.main[valve].sleeve == sleeve for valve in self.pulling())
         speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]

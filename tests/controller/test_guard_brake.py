@@ -28,8 +28,9 @@ from meshpoint.units import RPM
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("sleeve", [0, 1])
 def test_row_5_the_brake_with_a_gear_in_mesh(sleeve: int, side: float) -> None:
-    assert blocked_row(place(NEUTRAL, sleeve, side * 1.4e-3), ValveName.BRAKE) is None
-    assert blocked_row(place(NEUTRAL, sleeve, side * 1.6e-3), ValveName.BRAKE) == 5
+    """A sleeve that stands before the teeth, at 5 mm, touches none."""
+    assert blocked_row(place(NEUTRAL, sleeve, side * 4.7e-3), ValveName.BRAKE) is None
+    assert blocked_row(place(NEUTRAL, sleeve, side * 4.9e-3), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_against_the_engine() -> None:
@@ -69,7 +70,9 @@ def leaving(position_mm: float, speed_m_s: float, side: int = 1) -> GuardInputs:
         (10.3, -0.25, 5_000, 5),  # on its way back in
         (11.8, 0.04, 5_000, 5),  # too slow to tell from noise
         (4.4, 0.5, 0, None),  # clear already
-        (4.6, 0.0, 0, 5),
+        (4.6, 0.0, 0, None),  # it stands, apart from the teeth
+        (4.6, -0.06, 0, 5),  # it goes back in
+        (4.9, 0.0, 0, 5),
     ],
 )
 def test_row_5_a_gear_on_its_way_out_by_the_time_the_air_comes_in(

@@ -59,7 +59,11 @@ FORBIDDEN: Final = {
     17: Forbidden(HIGH, NEUTRAL, lambda state: setattr(state, "wanted", None)),
     18: Forbidden(HIGH, NEUTRAL, lambda state: state.group_us.update({7: NOW - 100_000})),
     19: Forbidden(HIGH, NEUTRAL._replace(clock_error_us=12_001)),
-}
+    20: Forbidden(
+        (ValveName.SPLIT_LOW,), place(NEUTRAL, 0, 3e-3),
+        lambda state: state.before_teeth_us.update({0: NOW - 500_001}),
+    ),
+}  # fmt: skip
 DRIVELINE: Final = (14, 15, 16)
 
 
