@@ -19,7 +19,8 @@ from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
-from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
@@ -31,21 +32,6 @@ FALL_US: Final = 20 * MS_IN_US
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
-SLEEVE_VALVE: Final = {
-    MainGear.FIRST: ValveName.MAIN_FIRST,
-    MainGear.SECOND: ValveName.MAIN_SECOND,
-    MainGear.CRAWL: ValveName.MAIN_CRAWL,
-    MainGear.THIRD: ValveName.MAIN_THIRD,
-}
-OPPOSITE: Final = {
-    MainGear.FIRST: ValveName.MAIN_SECOND,
-    MainGear.SECOND: ValveName.MAIN_FIRST,
-    MainGear.CRAWL: ValveName.MAIN_THIRD,
-    MainGear.THIRD: ValveName.MAIN_CRAWL,
-}
-"""The valve that pulls a gear out pushes toward the sleeve's other gear."""
-
-
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]

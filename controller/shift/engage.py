@@ -9,17 +9,12 @@ from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import ENGAGED_SHORT_M, ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_measurement import brake_holds
-from meshpoint.controller.shift.context import (
-    DRIVEN_LATE_US,
-    FALL_US,
-    OPPOSITE,
-    SLEEVE_VALVE,
-    ShiftContext,
-)
+from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import shift_aims
 from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
