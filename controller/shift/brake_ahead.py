@@ -15,7 +15,7 @@ from meshpoint.controller.sensing.gearbox_view import SleeveTrack
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.units import SECOND_US
 

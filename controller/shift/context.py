@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US
@@ -12,6 +13,7 @@ from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
+from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
@@ -19,11 +21,14 @@ from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
-from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
+from meshpoint.controller.shift.valve_board import FOREVER_US, OFF, SwitchCommand, ValveBoard
+from meshpoint.controller.sleeve.answers import Stroke
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
-from meshpoint.units import SECOND_US
+from meshpoint.units import SECOND_US, US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -31,21 +36,6 @@ FALL_US: Final = 20 * MS_IN_US
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
-SLEEVE_VALVE: Final = {
-    MainGear.FIRST: ValveName.MAIN_FIRST,
-    MainGear.SECOND: ValveName.MAIN_SECOND,
-    MainGear.CRAWL: ValveName.MAIN_CRAWL,
-    MainGear.THIRD: ValveName.MAIN_THIRD,
-}
-OPPOSITE: Final = {
-    MainGear.FIRST: ValveName.MAIN_SECOND,
-    MainGear.SECOND: ValveName.MAIN_FIRST,
-    MainGear.CRAWL: ValveName.MAIN_THIRD,
-    MainGear.THIRD: ValveName.MAIN_CRAWL,
-}
-"""The valve that pulls a gear out pushes toward the sleeve's other gear."""
-
-
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
@@ -76,6 +66,9 @@ class ShiftContext:
         self.references = references
         self.strategist = Strategist(sheet, settings)
         self.delays = SleeveDelays(sheet)
+        self.sleeves = Sleeves(sheet)
+        self._told: dict[ValveName, SwitchCommand] = {}
+        """The commands that the sleeves have been told of."""
         self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
@@ -179,6 +172,24 @@ class ShiftContext:
         """Whether no valve of the main box is driven or will be."""
         return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())
 
+    def sense_sleeves(self, snapshot: StepSnapshot) -> None:
+        """What this step's samples say of the main sleeves."""
+        if math.isfinite(snapshot.supply_pa):
+            self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
+        self.sleeves.take(snapshot.view, snapshot.now_us)
+
+    def tell_sleeves(self, now_us: int) -> None:
+        """What this step has commanded of the main sleeves' valves."""
+        for valve in SLEEVE_VALVE.values():
+            command = self.board.command(valve)
+            if command == self._told.get(valve, OFF):
+                continue
+            self._told[valve] = command
+            switches = [(now_us + BUS_US if command is OFF else command.time_us, command.on)]
+            if command.until_us < FOREVER_US:
+                switches.append((command.until_us, False))
+            self.sleeves.expected(valve, switches)
+
     def all_off(self, now_us: int) -> None:
         """Switches all valves off now, and enters the brake's release in the filter's input."""
         self.board.all_off()
@@ -217,8 +228,6 @@ class ShiftContext:
         """A predictor for a gear; None while a speed is missing or the layshaft is not free."""
         if snapshot.main is None or not snapshot.layshaft.free:
             return None
-        if math.isfinite(snapshot.supply_pa):
-            self.delays.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         layshaft = snapshot.layshaft.latest()
         ahead_us = layshaft.time_us - snapshot.now_us
         if not layshaft.is_finite or ahead_us > ESTIMATE_STALE_US:
@@ -231,12 +240,26 @@ class ShiftContext:
             self.brake,
             snapshot.layshaft.model,
             self.references,
-            self.delays.delay_us(gear),
-            self.delays.delay_sd_s(gear),
+            0,
+            0.0,
             self.drifts.rad_s(gear),
             self.drifts.spread_share(gear),
+            0,
         )
+        stroke = self.sleeves.stroke(gear, snapshot.earliest_us)
+        predictor = self.with_stroke(predictor, stroke, snapshot.earliest_us)
         return predictor if self.predictor_source is None else self.predictor_source(predictor)
+
+    def with_stroke(self, predictor: GearPredictor, stroke: Stroke, fire_us: int) -> GearPredictor:
+        """The predictor for a sleeve that makes this stroke when it is fired then."""
+        delay_us = stroke.contact_us - fire_us
+        stop_us = delay_us - self.sleeves.abort_after_us(predictor.gear)
+        return replace(
+            predictor,
+            delay_us=delay_us,
+            delay_sd_s=stroke.sd_us * US,
+            stop_us=max(0, stop_us),
+        )
 
     def reference_known(self, gear: MainGear) -> bool:
         """Whether the phase of a gear is known."""

@@ -6,11 +6,12 @@ from typing import Final
 
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_ahead import brake_ahead
-from meshpoint.controller.shift.context import OPPOSITE, ShiftContext
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.to_neutral import bring_to_neutral, is_under_way
 from meshpoint.controller.shift.torque_ramp import ramp_down
+from meshpoint.controller.valve_name import OPPOSITE
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 

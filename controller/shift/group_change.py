@@ -16,7 +16,7 @@ from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear, Range, Split
 

@@ -13,12 +13,13 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_measurement import brake_holds
-from meshpoint.controller.shift.context import OPPOSITE, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.in_mesh import in_mesh
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.sleeve import Halt
+from meshpoint.controller.sleeve.answers import Halt
+from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
 STANDS_US: Final = 150 * MS_IN_US
@@ -41,9 +42,11 @@ def better_halted(
     halt = context.sleeves.abort(gear, at_us)
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         return halt
-    again = context.with_stroke(predictor, halt.again, halt.off_us)
-    acting = context.strategist.acting(reference_known=True)
     earliest_us = max(halt.off_us, snapshot.earliest_us + context.tick_us)
+    again = context.with_stroke(
+        predictor, context.sleeves.stroke_after(gear, halt, earliest_us), earliest_us
+    )
+    acting = context.strategist.acting(reference_known=True)
     is_better = acting.is_to_go_back(again, snapshot.now_us, plan.contact_us, earliest_us)
     return halt if is_better else None
 
@@ -56,7 +59,7 @@ def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
     shift.aborts += 1
     shift.plan = None
     context.board.off(SLEEVE_VALVE[gear])
-    context.board.pulse(OPPOSITE[gear], halt.on_us, halt.off_us, snapshot.now_us)
+    context.board.pulse(OPPOSITE[gear], halt.at_us, halt.off_us, snapshot.now_us)
     return Trigger.ABORTED
 
 

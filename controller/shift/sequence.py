@@ -82,6 +82,7 @@ class ShiftSequence(ShiftContext):
     def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
+        self.sense_sleeves(snapshot)
         self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
         self.driveline.measure(self.state, snapshot)

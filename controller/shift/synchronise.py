@@ -9,11 +9,11 @@ from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_measurement import brake_holds
-from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 

@@ -6,28 +6,13 @@ Hardware that can schedule gets the activation time with the command. Hardware t
 
 from __future__ import annotations
 
-from enum import IntEnum
 from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
-
-
-class ValveName(IntEnum):
-    """The nine valves, in the order of the command frame."""
-
-    BRAKE = 0
-    SPLIT_LOW = 1
-    SPLIT_HIGH = 2
-    MAIN_FIRST = 3
-    MAIN_SECOND = 4
-    MAIN_CRAWL = 5
-    MAIN_THIRD = 6
-    RANGE_LOW = 7
-    RANGE_HIGH = 8
-
 
 Driven = tuple[bool, ...]
 """A flag of each valve, in the order of `ValveName`."""

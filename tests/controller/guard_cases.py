@@ -11,7 +11,7 @@ from meshpoint.controller.guard.rules import (
 )
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node

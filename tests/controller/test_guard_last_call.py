@@ -11,7 +11,7 @@ from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.swing import Swing, SwingMemory
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ValveCommand
 from meshpoint.gearbox import MainGear
 from meshpoint.units import RPM

@@ -18,7 +18,7 @@ from test_shift_states import (
     aimed,
 )
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear

@@ -21,7 +21,7 @@ from test_shift_states import (
 )
 
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, Sleeve

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from test_shift_states import PITCH, STROKE_M, TICK_US, Box
 
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import Sleeve

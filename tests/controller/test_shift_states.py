@@ -23,7 +23,8 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import (
     ClutchAction,
     FaultCode,

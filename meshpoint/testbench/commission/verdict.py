@@ -10,7 +10,7 @@ from itertools import combinations
 from statistics import median
 from typing import Final
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.check.finding import Finding, Verdict

@@ -29,7 +29,7 @@ from meshpoint.controller.motion.models import LayshaftState, MotionModel
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.testbench.open_loop.copies import copied

@@ -10,7 +10,7 @@ from typing import Final
 from rich.text import Text
 
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (

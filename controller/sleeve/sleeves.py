@@ -1,0 +1,377 @@
+"""The room's one door: what the rest of the controller asks and says of the main sleeves."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.records import Vector
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
+from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_REST, TO_TURN
+from meshpoint.controller.sleeve.law import FEED, OFF, ON, PARAMETERS, SleeveLaw
+from meshpoint.controller.sleeve.motion import Switch, Way
+from meshpoint.controller.sleeve.tracked import TrackedSleeve
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
+from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.units import SECOND_US
+
+LONGEST_US: Final = 500_000
+"""No sleeve takes longer to its gear."""
+STOPS_US: Final = 40_000
+"""A sleeve that is stopped in flight stands within this time, or is not stopped."""
+RESTS_US: Final = 400_000
+LEAST_MARGIN_M: Final = 2e-4
+SURE: Final = 2.5
+"""Standard deviations by which a sleeve stops short of the teeth."""
+LONGEST_PULSE_US: Final = 14_000
+SHORTEST_PULSE_US: Final = 4_000
+PULSE_STEP_US: Final = 500
+NEARLY_M: Final = 1e-4
+ABORT_STEP_US: Final = 100
+NEAR_NEUTRAL_M: Final = 1e-3
+ABORT_SUPPLY_PA: Final = 2e4
+LEAST_SUPPLY_SHARE: Final = 0.1
+PROBE: Final = 0.02
+PROBE_S: Final = 2e-4
+
+
+class Side(NamedTuple):
+    """A gear's side of its sleeve."""
+
+    sleeve: Sleeve
+    direction: int
+    valve: int
+    """The valve that pushes there: 0 towards +x, 1 towards -x."""
+
+
+_SIDES: Final = {
+    gear: Side(side.sleeve, side.direction, 0 if side.direction > 0 else 1)
+    for gear, side in SLEEVE_OF_MAIN.items()
+}
+_OF_VALVE: Final = {SLEEVE_VALVE[gear]: _SIDES[gear] for gear in MAIN_GEARS}
+_VALVES: Final = {(side.sleeve, side.valve): name for name, side in _OF_VALVE.items()}
+
+
+class Sleeves:
+    """The main sleeves of a gearbox, each a mass between two chambers."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._law = SleeveLaw(sheet)
+        prior = self._law.prior(sheet)
+        self._sheet_pa = sheet.air.supply_gauge_pa
+        self.supply_pa = self._sheet_pa
+        """Present supply pressure, gauge."""
+        self._scatter_s = sheet.sleeve.delay_sd_s
+        self._now_us = 0
+        self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
+        self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
+
+    def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
+        """A main valve's coil switches then (known in advance, or since); this replaces what was
+        still to come of that valve. Other valves are none of this room's."""
+        side = _OF_VALVE.get(valve)
+        if side is not None:
+            self._sleeves[side.sleeve].commanded(side.valve, on, time_us, self._now_us)
+
+    def expected(self, valve: ValveName, switches: list[tuple[int, bool]]) -> None:
+        """A main valve's coil switches then (time, on), in this order, and not otherwise."""
+        side = _OF_VALVE.get(valve)
+        if side is not None:
+            self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
+
+    def withdrawn(self, valve: ValveName, now_us: int) -> None:
+        """A switch still to come does not come."""
+        side = _OF_VALVE.get(valve)
+        if side is not None:
+            self._sleeves[side.sleeve].withdrawn(side.valve, now_us)
+
+    def take(self, view: GearboxView, now_us: int) -> None:
+        """Each step: the newest position samples. Where a movement is over, it is learned from."""
+        self._now_us = now_us
+        for sleeve, tracked in self._sleeves.items():
+            track = view.tracks.get(sleeve)
+            if track is not None:
+                tracked.take(track, self._supply_pa)
+
+    @property
+    def _supply_pa(self) -> float:
+        return max(self.supply_pa, LEAST_SUPPLY_SHARE * self._sheet_pa)
+
+    def place(self, sleeve: Sleeve, at_us: int) -> Place:
+        """Where a sleeve is then, by the law and the commands so far."""
+        tracked = self._sleeves[sleeve]
+        way = tracked.at(at_us, self._supply_pa)
+        sd_m = math.hypot(5e-5, way.end_m_s * float(np.max(tracked.late_sd_s, initial=0.0)))
+        return Place(way.m, way.end_m_s, sd_m, way.end_m_s != 0.0)
+
+    def stroke(self, gear: MainGear, fire_us: int) -> Stroke:
+        """The contact, if the valve towards the gear switches on then, from where the sleeve is
+        then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        return self._contact(tracked, side, self._fired(tracked, side, fire_us))
+
+    def _contact(self, tracked: TrackedSleeve, side: Side, switches: list[Switch]) -> Stroke:
+        way = self._to_contact(tracked, side, switches)
+        contact_us = way.crossed_us
+        if contact_us is None:
+            contact_us = float(switches[-1].time_us + LONGEST_US)
+        sd_s = self._contact_sd_s(tracked, side, switches, contact_us)
+        return Stroke(round(contact_us), SECOND_US * sd_s, 4.0, way.speed_m_s, way.force_n)
+
+    def from_neutral(self, gear: MainGear) -> Stroke:
+        """A stroke from neutral at the present supply pressure: `contact_us` is its delay."""
+        side = _SIDES[gear]
+        tracked = TrackedSleeve.of(self._sleeves[side.sleeve], self._law.at_rest(0.0))
+        switches = [Switch(0, side.valve, True)]
+        way = self._to_contact(tracked, side, switches)
+        contact_us = float(LONGEST_US) if way.crossed_us is None else way.crossed_us
+        sd_s = self._contact_sd_s(tracked, side, switches, contact_us)
+        return Stroke(round(contact_us), SECOND_US * sd_s, 4.0, way.speed_m_s, way.force_n)
+
+    def last_abort_us(self, gear: MainGear, fire_us: int) -> int | None:
+        """The latest "driving valve off, opposite one on" (coils) at which a sleeve fired at
+        `fire_us` still stops short of the teeth by the margin. None where it cannot be stopped any
+        more, or stands already."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        fired = self._fired(tracked, side, fire_us)
+        contact_us = self._to_contact(tracked, side, fired).crossed_us
+        if contact_us is None:
+            return None
+        earliest_us, contact = max(fire_us, self._now_us), int(contact_us)
+        margin_m, found = LEAST_MARGIN_M, None
+        for _ in range(2):
+            found = self._latest(tracked, side, fired, earliest_us, contact, margin_m)
+            if found is None:
+                return None
+            margin_m = max(LEAST_MARGIN_M, SURE * self._stop_sd_m(tracked, side, fired, found))
+        return self._latest(tracked, side, fired, earliest_us, found, margin_m)
+
+    def abort_after_us(self, gear: MainGear) -> int:
+        """So long after a firing from neutral the sleeve can last be stopped short of the teeth."""
+        tracked = self._sleeves[_SIDES[gear].sleeve]
+        known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
+        found = self._abort_after.get(gear)
+        if found is None or found[0] != known:
+            rested = Sleeves.__new__(Sleeves)
+            rested.__dict__.update(self.__dict__)
+            at_rest = TrackedSleeve.of(tracked, self._law.at_rest(0.0))
+            rested._sleeves, rested._now_us = {_SIDES[gear].sleeve: at_rest}, 0
+            last_us = rested.last_abort_us(gear, 0)
+            found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
+        return found[1]
+
+    def abort(self, gear: MainGear, at_us: int) -> Halt:
+        """How a sleeve on its way to this gear is stopped from then on, and where it will stand."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        fired = [one for one in tracked.switches if one.time_us < at_us]
+        best = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US).furthest_m
+        short_m = side.direction * best + NEARLY_M
+        pulse_us = SHORTEST_PULSE_US
+        while pulse_us < LONGEST_PULSE_US:
+            way = self._stopped(tracked, side, fired, at_us, pulse_us)
+            if way.turned_us is not None and side.direction * way.furthest_m <= short_m:
+                break
+            pulse_us += PULSE_STEP_US
+        switches = _aborted(fired, side, at_us, pulse_us)
+        way = tracked.ahead(
+            self._supply_pa, ending=TO_REST, until_us=at_us + RESTS_US, switches=switches
+        )
+        sd_m = self._stop_sd_m(tracked, side, fired, at_us)
+        return Halt(at_us, at_us + pulse_us, way.m, sd_m)
+
+    def stroke_after(self, gear: MainGear, halt: Halt, fire_us: int) -> Stroke:
+        """The contact, if a sleeve on its way to this gear is stopped so, and fired again then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        switches = _aborted(tracked.switches, side, halt.at_us, halt.off_us - halt.at_us)
+        return self._contact(tracked, side, [*switches, Switch(fire_us, side.valve, True)])
+
+    def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
+        """The pulse that brings a sleeve to rest in neutral, from where it is then, before the
+        teeth or between unloaded ones. None where it is there."""
+        tracked = self._sleeves[sleeve]
+        now = tracked.at(at_us, self._supply_pa)
+        if abs(now.m) < NEAR_NEUTRAL_M and now.end_m_s == 0.0:
+            return None
+        return self._pulse(tracked, sleeve, at_us, 1 if now.m < 0.0 else -1)
+
+    def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
+        """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
+        side = _SIDES[gear]
+        return self._pulse(self._sleeves[side.sleeve], side.sleeve, on_us, -side.direction)
+
+    def _pulse(self, tracked: TrackedSleeve, sleeve: Sleeve, on_us: int, direction: int) -> Pulse:
+        valve = 0 if direction > 0 else 1
+        kept = [one for one in tracked.switches if one.time_us < on_us]
+        short_us, long_us = 0, 120_000
+        while long_us - short_us > 100:
+            middle_us = (short_us + long_us) // 2
+            way = self._pulsed(tracked, kept, valve, on_us, middle_us)
+            goes_past = direction * way.m > 0.0
+            short_us, long_us = (short_us, middle_us) if goes_past else (middle_us, long_us)
+        way = self._pulsed(tracked, kept, valve, on_us, short_us)
+        parted = self._parting_us(tracked, kept, valve, direction, on_us, short_us, 0.0)
+        earliest = self._parting_us(tracked, kept, valve, direction, on_us, short_us, SURE)
+        switch = Switch(on_us, valve, True)
+        sd_m = 2.0 * self._law.face_m * tracked.sd_of(switch) / max(1e-6, short_us * 1e-6)
+        name = _VALVES[sleeve, valve]
+        off_us, arrival_us = on_us + short_us, round(way.end_us)
+        return Pulse(name, on_us, off_us, arrival_us, way.m, sd_m, parted, earliest)
+
+    def _pulsed(
+        self, tracked: TrackedSleeve, kept: list[Switch], valve: int, on_us: int, pulse_us: int
+    ) -> Way:
+        pulse = [Switch(on_us, valve, True), Switch(on_us + pulse_us, valve, False)]
+        return tracked.ahead(
+            self._supply_pa, ending=TO_REST, until_us=on_us + RESTS_US, switches=kept + pulse
+        )
+
+    def _parting_us(
+        self,
+        tracked: TrackedSleeve,
+        kept: list[Switch],
+        valve: int,
+        direction: int,
+        on_us: int,
+        pulse_us: int,
+        sds: float,
+    ) -> int:
+        pulse = [Switch(on_us, valve, True), Switch(on_us + pulse_us, valve, False)]
+        way = tracked.ahead(
+            self._supply_pa,
+            ending=TO_LEVEL,
+            until_us=on_us + RESTS_US,
+            switches=kept + pulse,
+            level_m=-direction * self._law.face_m,
+            direction=float(direction),
+        )
+        if way.crossed_us is None:
+            return on_us
+        return round(way.crossed_us - sds * tracked.sd_of(pulse[0]) * SECOND_US)
+
+    def _fired(self, tracked: TrackedSleeve, side: Side, fire_us: int) -> list[Switch]:
+        """The switches so far, with the valve towards the gear on from then: what this replaces is
+        left out."""
+        fire = Switch(fire_us, side.valve, True)
+        if fire in tracked.switches:
+            return tracked.switches
+        kept = [o for o in tracked.switches if o.valve != side.valve or o.time_us < fire_us]
+        return kept if tracked.driven(side.valve, fire_us) else [*kept, fire]
+
+    def _to_contact(
+        self,
+        tracked: TrackedSleeve,
+        side: Side,
+        switches: list[Switch],
+        learned: Vector | None = None,
+    ) -> Way:
+        last_us = max((one.time_us for one in switches), default=tracked.start.time_us)
+        return tracked.ahead(
+            self._supply_pa,
+            ending=TO_LEVEL,
+            until_us=last_us + LONGEST_US,
+            switches=switches,
+            level_m=side.direction * self._law.face_m,
+            direction=float(side.direction),
+            learned=learned,
+        )
+
+    def _contact_sd_s(
+        self, tracked: TrackedSleeve, side: Side, switches: list[Switch], contact_us: float
+    ) -> float:
+        slope = np.zeros(PARAMETERS)
+        for k in range(PARAMETERS):
+            if k < FEED:
+                continue
+            learned = tracked.learned.copy()
+            learned[k] += PROBE
+            crossed_us = self._to_contact(tracked, side, switches, learned).crossed_us
+            if crossed_us is not None:
+                slope[k] = (crossed_us - contact_us) * 1e-6 / PROBE
+        slope[ON + side.valve] = 1.0
+        variance = float(slope @ tracked.covariance @ slope)
+        return math.sqrt(variance + tracked.switch_sd_s[side.valve] ** 2)
+
+    def _stopped(
+        self,
+        tracked: TrackedSleeve,
+        side: Side,
+        fired: list[Switch],
+        at_us: int,
+        pulse_us: int,
+        learned: Vector | None = None,
+    ) -> Way:
+        """As far as it gets, if it is aborted then."""
+        return tracked.ahead(
+            self._supply_pa,
+            ending=TO_TURN,
+            until_us=at_us + STOPS_US,
+            switches=_aborted(fired, side, at_us, pulse_us),
+            level_m=side.direction * self._law.stroke_m,
+            direction=float(side.direction),
+            learned=learned,
+        )
+
+    def _latest(
+        self,
+        tracked: TrackedSleeve,
+        side: Side,
+        fired: list[Switch],
+        earliest_us: int,
+        contact_us: int,
+        margin_m: float,
+    ) -> int | None:
+        """By bisection: the later the abort, the further it gets."""
+        most_m = self._law.face_m - margin_m
+
+        def stops(at_us: int) -> bool:
+            way = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US)
+            return side.direction * way.furthest_m <= most_m
+
+        if not stops(earliest_us):
+            return None
+        early, late = earliest_us, max(contact_us, earliest_us + 1)
+        while late - early > ABORT_STEP_US:
+            middle = (early + late) // 2
+            early, late = (middle, late) if stops(middle) else (early, middle)
+        return early
+
+    def _stop_sd_m(
+        self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int
+    ) -> float:
+        """Deviation of the place to which an aborted sleeve gets."""
+        base_m = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US).furthest_m
+        slope = np.zeros(PARAMETERS)
+        scatter = 0.0
+        other = 1 - side.valve
+        for k in range(PARAMETERS):
+            probe = PROBE_S if k < FEED else PROBE
+            learned = tracked.learned.copy()
+            learned[k] += probe
+            way = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US, learned)
+            slope[k] = (way.furthest_m - base_m) / probe
+        for k, valve in (
+            (ON + side.valve, side.valve),
+            (OFF + side.valve, side.valve),
+            (ON + other, other),
+        ):
+            scatter += (slope[k] * tracked.switch_sd_s[valve]) ** 2
+        return math.sqrt(float(slope @ tracked.covariance @ slope) + scatter)
+
+
+def _aborted(fired: list[Switch], side: Side, at_us: int, pulse_us: int) -> list[Switch]:
+    kept = [one for one in fired if one.time_us < at_us]
+    other = 1 - side.valve
+    return [
+        *kept,
+        Switch(at_us, side.valve, False),
+        Switch(at_us, other, True),
+        Switch(at_us + pulse_us, other, False),
+    ]

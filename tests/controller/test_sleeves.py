@@ -1,0 +1,82 @@
+"""The main sleeves by the data sheet: contact, abort in flight, return to neutral."""
+
+from __future__ import annotations
+
+import pytest
+
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
+from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
+
+SHEET = load_sheet("truck12")
+NOW_US = 1_000_000
+FIRE_US = 1_020_000
+
+
+def at(sleeves: Sleeves, now_us: int) -> None:
+    """A step without new samples."""
+    sleeves.take(GearboxView(SHEET), now_us)
+
+
+@pytest.mark.parametrize("sheet_name", ["truck12", "thesis"])
+@pytest.mark.parametrize("gear", MAIN_GEARS)
+def test_from_neutral_a_stroke_takes_the_sheets_delay(sheet_name: str, gear: MainGear) -> None:
+    sheet = load_sheet(sheet_name)
+    stroke = Sleeves(sheet).stroke(gear, FIRE_US)
+    assert stroke.contact_us - FIRE_US == pytest.approx(1e6 * sheet.sleeve.delay_s, abs=20)
+    assert 1e3 * sheet.sleeve.valve_delay_tolerance_s < 1e-3 * stroke.sd_us < 5.0
+
+
+def test_more_air_makes_the_stroke_shorter_and_its_end_faster() -> None:
+    sleeves = Sleeves(SHEET)
+    usual = sleeves.stroke(MainGear.SECOND, FIRE_US)
+    sleeves.supply_pa = 1.2 * SHEET.air.supply_gauge_pa
+    more = sleeves.stroke(MainGear.SECOND, FIRE_US)
+    assert more.contact_us < usual.contact_us
+    assert more.contact_speed_m_s > usual.contact_speed_m_s
+
+
+@pytest.mark.parametrize("gear", MAIN_GEARS)
+def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_there(
+    gear: MainGear,
+) -> None:
+    sleeves, side = Sleeves(SHEET), SLEEVE_OF_MAIN[gear]
+    at(sleeves, NOW_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    at(sleeves, FIRE_US)
+    abort_us = sleeves.last_abort_us(gear, FIRE_US)
+    assert abort_us is not None
+    assert FIRE_US + 1e6 * SHEET.sleeve.valve_delay_s < abort_us
+    halt = sleeves.abort(gear, abort_us)
+    sleeves.commanded(SLEEVE_VALVE[gear], False, abort_us)
+    sleeves.commanded(OPPOSITE[gear], True, abort_us)
+    at(sleeves, abort_us)
+    sleeves.commanded(OPPOSITE[gear], False, halt.off_us)
+    stands = sleeves.place(side.sleeve, halt.off_us + 100_000)
+    assert not stands.is_moving
+    assert stands.m == pytest.approx(halt.m, abs=1e-5)
+    assert 0.0 < side.direction * stands.m < SHEET.sleeve.to_contact_m
+    refire_us = halt.off_us + 100_000
+    again = sleeves.stroke(gear, refire_us)
+    assert again.contact_us - refire_us < 1e6 * SHEET.sleeve.delay_s - 5_000
+    home = sleeves.to_neutral(side.sleeve, refire_us)
+    assert home is not None and home.valve is OPPOSITE[gear]
+    assert abs(home.m) < 2e-4 < side.direction * stands.m
+
+
+def test_what_is_commanded_anew_replaces_what_was_still_to_come() -> None:
+    sleeves, gear = Sleeves(SHEET), MainGear.FIRST
+    at(sleeves, NOW_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US + 5_000)
+    sleeve = SLEEVE_OF_MAIN[gear].sleeve
+    assert not sleeves.place(sleeve, FIRE_US + 15_000).is_moving
+    sleeves.withdrawn(SLEEVE_VALVE[gear], NOW_US)
+    assert not sleeves.place(sleeve, FIRE_US + 40_000).is_moving
+
+
+def test_a_sleeve_in_neutral_needs_no_pulse() -> None:
+    sleeves = Sleeves(SHEET)
+    assert sleeves.to_neutral(SLEEVE_OF_MAIN[MainGear.FIRST].sleeve, NOW_US) is None
