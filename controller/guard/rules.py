@@ -62,9 +62,13 @@ Rule = Callable[[Case], bool]
 
 
 def both_valves_of_a_sleeve(case: Case) -> bool:
-    """Row 1: both valves of a sleeve are driven."""
+    """Row 1: both valves of a sleeve are driven at one time. A release that is still to come
+    counts."""
     return any(
-        case.spans[a] is not None and case.spans[b] is not None for a, b in SLEEVE_VALVE_PAIRS
+        (one := case.spans[a]) is not None
+        and (other := case.spans[b]) is not None
+        and max(one.start_us, other.start_us) < min(one.end_us, other.end_us)
+        for a, b in SLEEVE_VALVE_PAIRS
     )
 
 
