@@ -37,7 +37,8 @@ def better_halted(
         return None
     gear, at_us = shift.target.main, snapshot.now_us + BUS_US
     last_us = context.sleeves.last_abort_us(gear, plan.fire_us)
-    if last_us is None or at_us > last_us:
+    # Until the last step in which it can be stopped, waiting costs nothing and tells more.
+    if last_us is None or not at_us <= last_us < at_us + context.tick_us:
         return None
     halt = context.sleeves.abort(gear, at_us)
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):

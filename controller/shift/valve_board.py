@@ -39,8 +39,9 @@ def driven_or_pending(status: ValveStatus | None) -> Driven:
 
 _ACTION: Final = itemgetter(0)
 _TIME_US: Final = itemgetter(1)
-OFF_HELD_US: Final = 1_000_000
-"""An `off` older than this is sent as OFF_NOW, long before its 32-bit time becomes ambiguous."""
+OFF_HELD_US: Final = 1_000
+"""An `off` older than this is sent as OFF_NOW: a valve side that has not heard it before would
+refuse it as too late, and leave the valve on."""
 
 
 FOREVER_US: Final = 1 << 62

@@ -28,7 +28,7 @@ LEAST_MARGIN_M: Final = 2e-4
 SURE: Final = 2.5
 """Standard deviations by which a sleeve stops short of the teeth."""
 LONGEST_PULSE_US: Final = 14_000
-SHORTEST_PULSE_US: Final = 4_000
+SHORTEST_PULSE_US: Final = 9_000
 PULSE_STEP_US: Final = 500
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 100
