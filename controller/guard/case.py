@@ -258,6 +258,14 @@ class Case(NamedTuple):
             valve for valve in MAIN_VALVES if self.spans[valve] is not None and self._pulls(valve)
         )
 
+    def _still_pulls(self, valve: int) -> bool:
+        """Whether the air of a main valve that has pulled a gear out still acts: its coil has been
+        off for less than its delay."""
+        before = self.last_drive(valve)
+        if before is None or not before.pulls:
+            return False
+        return self.seen.now_us < before.end_us + self.limits.valve_between_us[0]
+
     def way_m(self, valve: int) -> float:
         """Position of the valve's sleeve (m); positive toward the gear of this valve."""
         gear = self.limits.main[valve]
@@ -340,13 +348,15 @@ class Case(NamedTuple):
             return False
         if abs(position) <= GUARD_NEUTRAL_M or self.stands_apart(sleeve):
             return True
-        pulled = any(limits.main[valve].sleeve == sleeve for valve in self.pulling())
+        pulled = any(
+            limits.main[valve].sleeve == sleeve for valve in self.pulling()
+        ) or any(map(self._still_pulls, limits.valves_of(sleeve)))
         speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]
         come_m = limits.stroke_m - abs(position)
+        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or speed > 0.0):
+            return True
         if not pulled:
             return False
-        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M:
-            return True
         # The speed is the one half its samples ago.
         ago_s = 0.5 * OVER_SAMPLES * SAMPLE_S
         come_m -= speed * ago_s

@@ -114,8 +114,8 @@ def _teeth_out_us(context: ShiftContext, snapshot: StepSnapshot) -> float | None
     way_m = sleeve.stroke_m - sleeve.to_contact_m + CLEAR_M
     if come_m >= way_m:
         return float(track.newest_us)
-    if speed <= 0.0:
-        return None
+    if speed <= 0.0 or context.main_valves_rest(snapshot.now_us):
+        return None  # it stands, or nothing pulls it any more
     # The speed is that of the middle of its samples; s = a t^2 / 2 gives t = 2 s / v.
     middle_m = come_m - 0.5 * speed * OVER_SAMPLES * 1e-3
     if middle_m <= 0.0:
