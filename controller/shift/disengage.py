@@ -19,6 +19,9 @@ PULL_PAUSE_US: Final = 60 * MS_IN_US
 """The valve is off for this long between two attempts: torque on the teeth may reverse
 meanwhile."""
 
+LONGER_SHARE: Final = 0.5
+"""A gear that has not come out is pulled for so much longer each time."""
+
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Takes the engine's torque away, opens the clutch, and waits until it is time to command the
@@ -58,19 +61,35 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 
 def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> None:
     """Sends the pulse that pulls this gear out as the plates part. A time that can still be moved
-    follows the clutch, and a clutch that stops or comes back takes the command back. A pulse that
-    torque on the teeth has outlasted is sent again: the torque may reverse meanwhile."""
+    follows the clutch, and a clutch that stops or comes back takes the command back. The end of the
+    pulse follows the sleeve: torque on the teeth may hold it for a while."""
     valve, unloaded_us = OPPOSITE[gear], context.unloaded_us(snapshot)
-    shift, command = context.running, context.board.command(valve)
-    is_to_come = command.on and command.time_us > snapshot.earliest_us
+    shift, now_us, command = context.running, snapshot.now_us, context.board.command(valve)
     if unloaded_us is None:
         context.board.off(valve)
-        return
-    if not is_to_come:
-        if is_under_way(context, snapshot) or snapshot.now_us < shift.pull_again_us:
+    elif command.on and command.time_us <= snapshot.earliest_us < command.until_us:
+        held_us = now_us - command.time_us
+        if held_us > context.settings.limits.disengage_ms * MS_IN_US:
+            context.board.off(valve)
+            shift.pull_again_us = now_us + PULL_PAUSE_US
             return
-        shift.pulls += 1
-        context.references.released()
-    pulse = context.sleeves.pull_out(gear, unloaded_us)
-    context.board.pulse(valve, pulse.on_us, pulse.off_us, snapshot.now_us)
-    shift.pull_again_us = pulse.off_us + PULL_PAUSE_US
+        off_us = max(context.sleeves.pull_out(gear, command.time_us).off_us, command.until_us)
+        context.board.pulse(valve, command.time_us, off_us, now_us)
+        shift.pull_again_us = off_us + PULL_PAUSE_US
+    elif (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
+        pulse = context.sleeves.pull_out(gear, unloaded_us)
+        longer = 1.0 + LONGER_SHARE * (shift.pulls - 1)
+        off_us = pulse.on_us + round(longer * (pulse.off_us - pulse.on_us))
+        context.board.pulse(valve, pulse.on_us, off_us, now_us)
+        shift.pull_again_us = off_us + PULL_PAUSE_US
+
+
+def _may_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the gear is to be pulled, or pulled once more: torque on the teeth may have reversed
+    since."""
+    shift = context.running
+    if is_under_way(context, snapshot) or snapshot.now_us < shift.pull_again_us:
+        return False
+    shift.pulls += 1
+    context.references.released()
+    return True
