@@ -9,7 +9,7 @@ from meshpoint.controller.shift.brake_ahead import brake_ahead
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.to_neutral import bring_to_neutral, is_under_way
+from meshpoint.controller.shift.to_neutral import bring_to_neutral, comes_to_rest, is_under_way
 from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.controller.valve_name import OPPOSITE
 from meshpoint.dbc.messages import ClutchAction, FaultCode
@@ -45,7 +45,7 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     shift, gear = context.running, snapshot.view.main_gear
     if gear is shift.target.main and snapshot.view.range_ is shift.target.range_:
         return Trigger.MAIN_BOX_STAYS
-    if gear is MainGear.NEUTRAL and context.main_valves_rest(snapshot.now_us):
+    if gear is MainGear.NEUTRAL and comes_to_rest(context, snapshot):
         return Trigger.MAIN_BOX_NEUTRAL
     if context.running.pulls > context.settings.limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)

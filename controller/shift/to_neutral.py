@@ -6,9 +6,25 @@ by a pulse that ends before neutral, and comes to rest there in its detent.
 
 from __future__ import annotations
 
+from typing import Final
+
+from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.gearbox.gears import MAIN_SLEEVES
+
+RESTS_US: Final = 60 * MS_IN_US
+"""A sleeve whose valves are off comes to rest within this time."""
+
+
+def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether both main sleeves come to rest in neutral as commanded, none driven any more."""
+    if not context.main_valves_rest(snapshot.now_us):
+        return False
+    at_us = snapshot.now_us + RESTS_US
+    places = [context.sleeves.place(sleeve, at_us) for sleeve in MAIN_SLEEVES]
+    return all(abs(place.m) < VIEW_NEUTRAL_M for place in places)
 
 
 def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot) -> bool:
