@@ -33,9 +33,10 @@ from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 from meshpoint.units import SECOND_US
 
-SAMPLES: Final = 256
-"""Of a piece of the way: 25 ms."""
-LONGEST_STROKE_US: Final = 5e5
+SAMPLES: Final = 301
+"""Of a piece of the way: 30 ms."""
+LONGEST_STROKE_US: Final = 6e5
+"""What takes longer counts as never."""
 KEPT_US: Final = 11_000.0
 """The position sensor looks back by 10 ms."""
 SCRIPTED_SAMPLES: Final = 33
@@ -49,6 +50,8 @@ class Piece(NamedTuple):
     samples: Floats
     code: int
     direction: int
+    spools: tuple[bool, bool]
+    """Whether those of A and B were on."""
 
     def position_m(self, time_us: float) -> float:
         """Position, cubic between the samples; constant beyond them."""
@@ -84,6 +87,10 @@ class AxialMotion:
     def code(self) -> int:
         """What happens then."""
         return self._pieces[-1].code
+
+    def spools(self, time_us: float) -> tuple[bool, bool]:
+        """Whether those of A and B were on, at most 10 ms before the newest change."""
+        return self._piece_at(time_us).spools
 
     def push_at_n(self, time_us: float) -> float:
         """What air and detents push with, towards +x."""
@@ -150,7 +157,7 @@ class AxialMotion:
         count, code = run_ahead(self._memory.array, math.inf, samples)
         rows = samples[:count].copy()
         end_us = time_us + float(rows[-1, 0]) * SECOND_US
-        self._keep(Piece(time_us, end_us, rows, code, direction))
+        self._keep(Piece(time_us, end_us, rows, code, direction, self._spools))
 
     def stop(self) -> None:
         """Something in its way takes its speed."""
@@ -187,7 +194,7 @@ class AxialMotion:
             rows[:, 3:] = c.atmosphere_pa
             rows[-1, 1] = stop_m
             since_us, end_us = (time_us + s * SECOND_US for s in (begun_s, end_s))
-            self._scripted.append(Piece(since_us, end_us, rows, STOPS, 0))
+            self._scripted.append(Piece(since_us, end_us, rows, STOPS, 0, self._spools))
             begun_s = end_s
         self.run(time_us)
 
@@ -195,9 +202,13 @@ class AxialMotion:
         """A copy, to be run ahead with nothing in its way."""
         return deepcopy(self)
 
+    @property
+    def _spools(self) -> tuple[bool, bool]:
+        return self.cylinder.a_on != 0, self.cylinder.b_on != 0
+
     def _still(self, time_us: float) -> Piece:
         rows = np.array([[0.0, *self.cylinder.y.vector]])
-        return Piece(time_us, time_us, rows, RESTS, 0)
+        return Piece(time_us, time_us, rows, RESTS, 0, self._spools)
 
     def _piece_at(self, time_us: float) -> Piece:
         index = len(self._pieces) - 1

@@ -11,8 +11,9 @@ from meshpoint.rig_sim.shared.engagement import GEAR_AT, Tally
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.delays import TruckDelays
-from meshpoint.rig_sim.truck.engagement import MAIN_SLEEVES, ROW_OF_SLEEVE, TruckEngagement
+from meshpoint.rig_sim.truck.engagement import ROW_OF_SLEEVE, AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES
 from meshpoint.rig_sim.truck.sleeves import TruckSleeve, axial
 from meshpoint.units import SECOND_US
 
@@ -50,6 +51,10 @@ class DelayedEngagement(TruckEngagement[TruckSleeve], EngagementByDelay[TruckSle
 
     def change_conditions(self, built: AsBuilt) -> None:
         """A pure delay goes by none."""
+
+    def axis(self, name: Sleeve, time_us: float) -> AxisTruth:  # noqa: ARG002
+        """A pure delay has no chambers: ValueError."""
+        raise ValueError(f"{name.name} is a pure delay (sleeve.model 0): it has no chambers")
 
     def due(self, time_us: float) -> None:
         """Does what is due now; the plant has been advanced to this time."""

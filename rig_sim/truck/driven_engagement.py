@@ -20,12 +20,12 @@ from meshpoint.rig_sim.shared.engagement import GEAR_AT, VALVE_OF_MAIN, Tally
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
-from meshpoint.rig_sim.truck.axial_motion import LONGEST_STROKE_US, stroke_s
+from meshpoint.rig_sim.truck.axial_motion import LONGEST_STROKE_US
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.driven_sleeve import DrivenSleeve
-from meshpoint.rig_sim.truck.engagement import MAIN_SLEEVES, ROW_OF_SLEEVE, TruckEngagement
+from meshpoint.rig_sim.truck.engagement import ROW_OF_SLEEVE, AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
-from meshpoint.rig_sim.truck.sleeve_valves import SleeveValves
+from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES, SleeveValves
 from meshpoint.rig_sim.truck.sleeves import axial
 from meshpoint.units import SECOND_US
 
@@ -47,14 +47,13 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
     ) -> None:
         self.valves = SleeveValves(delays, sheet, built)
         self._axis = axial(built, sheet.dog.radius_m)
-        self._cylinders = {name: self.valves.cylinder(name) for name in MAIN_SLEEVES}
         where = SLEEVE_OF_MAIN[engaged]
         sleeves = {
             name: DrivenSleeve(
                 sheet.sleeve,
                 where.direction if name is where.sleeve else 0,
                 self._axis,
-                self._cylinders[name],
+                self.valves.cylinders[name],
             )
             for name in MAIN_SLEEVES
         }
@@ -66,7 +65,9 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         self._energised.clear()
         self._truck.unwatch(ROW_OF_SLEEVE[name])
         self._truck.g.release_nm = -1.0
-        self.sleeves[name] = DrivenSleeve(self._sheet.sleeve, 0, self._axis, self._cylinders[name])
+        self.sleeves[name] = DrivenSleeve(
+            self._sheet.sleeve, 0, self._axis, self.valves.cylinders[name]
+        )
 
     def due(self, time_us: float) -> None:
         """Does what is due now; the plant has been advanced to this time."""
@@ -119,11 +120,15 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         if sleeve.state in OUT_OF_MESH and not sleeve.meshed:
             found_us = self._alone_us(sleeve, where.direction, spool_us)
         if found_us == NEVER_US:
-            cylinder = self._cylinders[where.sleeve].copy()
-            self._load(cylinder)
-            contact_m = where.direction * self._sheet.sleeve.to_contact_m
-            found_us = spool_us + stroke_s(cylinder, contact_m) * SECOND_US
+            found_us = spool_us + self.valves.stroke_s(gear, self._truck.y.supply_pa) * SECOND_US
         return found_us, sd_s * SECOND_US
+
+    def axis(self, name: Sleeve, time_us: float) -> AxisTruth:
+        """A main sleeve along its axis at an instant; see `TruckTruth.axis`."""
+        motion = self.sleeves[name].motion
+        y = motion.state(time_us)
+        plus, minus = (VALVE_OF_MAIN[GEAR_AT[name, side]] in self._energised for side in (1, -1))
+        return AxisTruth(y.x_m, y.v_m_s, (y.a_pa, y.b_pa), (plus, minus), motion.spools(time_us))
 
     def change_conditions(self, built: AsBuilt) -> None:
         """Another oil temperature, or another supply."""
@@ -145,6 +150,8 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
                 time_us, to, on = spools.pop(0)
                 if time_us == NEVER_US:
                     break
+                sleeve.motion.cut(time_us)
+                self._load(sleeve.cylinder)
                 sleeve.spool(time_us, to, on)
                 continue
             time_us = end_us

@@ -14,15 +14,15 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.gearbox.sheet import SleeveActuator
-from meshpoint.rig_sim.parts.cylinder import AxialState, Cylinder
+from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
 from meshpoint.rig_sim.truck.axial_motion import AxialMotion
 from meshpoint.rig_sim.truck.sleeves import Axial, TruckSleeve
 
 PRESS_US: Final = 1_000.0
-"""So often what rubs or waits gets the force anew, its mean until then, while air flows."""
+"""At this interval what rubs or waits gets the force anew, its mean until then, while air flows."""
 SUPPLY_US: Final = 10_000.0
-"""And so often an open spool the tank's pressure."""
+"""And at this one an open spool the tank's pressure."""
 
 
 class DrivenSleeve(TruckSleeve):
@@ -68,10 +68,6 @@ class DrivenSleeve(TruckSleeve):
     def position_m(self, time_us: float) -> float:
         """Signed distance from neutral, at most 10 ms before the newest change."""
         return self.motion.position_m(time_us)
-
-    def state_at(self, time_us: float) -> AxialState:
-        """Position, speed and pressures."""
-        return self.motion.state(time_us)
 
     def moves_after(self, time_us: float) -> bool:
         """Whether the position at or after that instant may differ from the present one."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
@@ -24,14 +24,28 @@ from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES
 from meshpoint.rig_sim.truck.sleeves import TruckSleeve
 from meshpoint.units import MM
 
 SETTLED_RAD_S: Final = 0.02
 """A flank that would rebound more slowly than this stays in contact."""
-MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 TruckSleeveT = TypeVar("TruckSleeveT", bound=TruckSleeve)
 ROW_OF_SLEEVE: Final = {name: row for row, name in enumerate(MAIN_SLEEVES)}
+
+
+class AxisTruth(NamedTuple):
+    """A main sleeve along its axis. Pairs: of the side it moves to with positive x, and of the
+    other one."""
+
+    position_m: float
+    speed_m_s: float
+    pressures_pa: tuple[float, float]
+    """In the two chambers, absolute."""
+    coils: tuple[bool, bool]
+    """Whether the valves' coils are driven, at the truth's own instant."""
+    spools: tuple[bool, bool]
+    """Whether the valves feed their chambers."""
 
 
 class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
@@ -81,6 +95,10 @@ class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
     @abstractmethod
     def change_conditions(self, built: AsBuilt) -> None:
         """Another oil temperature, or another supply."""
+
+    @abstractmethod
+    def axis(self, name: Sleeve, time_us: float) -> AxisTruth:
+        """A main sleeve along its axis at an instant; see `TruckTruth.axis`."""
 
     def jam(self, name: Sleeve, jammed: bool) -> None:
         """A main sleeve is stuck, or no more."""

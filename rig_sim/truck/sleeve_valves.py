@@ -14,11 +14,12 @@ gear.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
-from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.engagement import GEAR_AT, GEAR_OF_VALVE, VALVE_OF_MAIN
@@ -28,6 +29,7 @@ from meshpoint.rig_sim.truck.axial_motion import stroke_s
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.units import MM, MS, SECOND_US
 
+MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 VALVE_STREAM: Final = 0x51E
 WARM_C: Final = 80.0
 LEAST_M3_SPA, MOST_M3_SPA = 2e-10, 1e-7
@@ -52,6 +54,8 @@ class SleeveValves:
         }
         self._moved_us: dict[Valve, float] = {}
         """When each valve was last switched."""
+        self.cylinders = {name: self._cylinder(name) for name in MAIN_SLEEVES}
+        """Of each main sleeve, in neutral, in oil of 80 degC; to be copied."""
 
     def change_conditions(self, built: AsBuilt) -> None:
         """Another oil temperature."""
@@ -77,8 +81,8 @@ class SleeveValves:
         sd_s = self._delays.sd_s * math.sqrt(1.0 - share * share)
         return mean_s + share * self._last_s.get(valve, 0.0), sd_s
 
-    def cylinder(self, name: Sleeve) -> Cylinder:
-        """The cylinder of a main sleeve, its valves as built, in oil of 80 degC."""
+    def _cylinder(self, name: Sleeve) -> Cylinder:
+        """As built, its valves as wide as their gears' delays need."""
         built, actuator, air = self._built, self._sheet.sleeve, self._sheet.air
         c = Cylinder()
         c.area_m2 = built["sleeve.area_cm2"] * 1e-4
@@ -109,6 +113,15 @@ class SleeveValves:
         _solve(feeds_a, lambda: stroke_s(c, contact_m), travels_s[0])
         _solve(feeds_b, lambda: stroke_s(c, -contact_m), travels_s[1])
         return c
+
+    def stroke_s(self, gear: MainGear, supply_pa: float) -> float:
+        """From the spool to contact, by a single stroke from neutral at this absolute pressure of
+        the tank; infinite where the sleeve never gets there."""
+        where = SLEEVE_OF_MAIN[gear]
+        cylinder = self.cylinders[where.sleeve].copy()
+        cylinder.supply_pa = supply_pa
+        self.set_friction(cylinder)
+        return stroke_s(cylinder, where.direction * self._sheet.sleeve.to_contact_m)
 
     def set_friction(self, c: Cylinder) -> None:
         """Friction and damping in the oil as it is."""
@@ -149,7 +162,7 @@ class SleeveValves:
         return chance_s
 
 
-def _solve(set_to, found_s, target_s: float) -> None:  # type: ignore[no-untyped-def]
+def _solve(set_to: Callable[[float], None], found_s: Callable[[], float], target_s: float) -> None:
     """Sets the conductance with which a stroke takes this long; a wider valve is faster."""
     low, high = math.log(LEAST_M3_SPA), math.log(MOST_M3_SPA)
     for _ in range(HALVINGS):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.gears import MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.truth import CommonTruth
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.energy import Energy
-from meshpoint.rig_sim.truck.engagement import TruckEngagement
+from meshpoint.rig_sim.truck.engagement import AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.units import SECOND_US
 
@@ -68,6 +68,11 @@ class TruckTruth(CommonTruth):
         """When a gear's sleeve would meet it, its valve's coil switched on at `fire_us`: from where
         it stands or moves now, its valves as they are. Mean and standard deviation, us."""
         return self._world.engagement.expected_contact_us(gear, fire_us)
+
+    def axis(self, sleeve: Sleeve, time_us: float) -> AxisTruth:
+        """One of the two main sleeves at an instant, at most 10 ms before the truth's own. KeyError
+        for splitter and range; ValueError where sleeves are a pure delay (`sleeve.model` 0)."""
+        return self._world.engagement.axis(sleeve, time_us)
 
     @property
     def brake_valve_delay_s(self) -> float:
