@@ -33,6 +33,8 @@ PULSE_STEP_US: Final = 500
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 100
 NEAR_NEUTRAL_M: Final = 1e-3
+LONGEST_PULL_US: Final = 120_000
+PULL_STEP_US: Final = 100
 ABORT_SUPPLY_PA: Final = 2e4
 LEAST_SUPPLY_SHARE: Final = 0.1
 PROBE: Final = 0.02
@@ -210,12 +212,18 @@ class Sleeves:
     def _pulse(self, tracked: TrackedSleeve, sleeve: Sleeve, on_us: int, direction: int) -> Pulse:
         valve = 0 if direction > 0 else 1
         kept = [one for one in tracked.switches if one.time_us < on_us]
-        short_us, long_us = 0, 120_000
-        while long_us - short_us > 100:
-            middle_us = (short_us + long_us) // 2
-            way = self._pulsed(tracked, kept, valve, on_us, middle_us)
-            goes_past = direction * way.m > 0.0
-            short_us, long_us = (short_us, middle_us) if goes_past else (middle_us, long_us)
+        # Between the shortest pulse that gets there and the longest that does not go beyond, in the
+        # middle: the detent makes good for what the law does not know.
+        ends_us = []
+        for level_m in (-NEAR_NEUTRAL_M, NEAR_NEUTRAL_M):
+            short_us, long_us = 0, LONGEST_PULL_US
+            while long_us - short_us > PULL_STEP_US:
+                middle_us = (short_us + long_us) // 2
+                way = self._pulsed(tracked, kept, valve, on_us, middle_us)
+                is_beyond = direction * way.m > level_m
+                short_us, long_us = (short_us, middle_us) if is_beyond else (middle_us, long_us)
+            ends_us.append(short_us)
+        short_us = sum(ends_us) // 2
         way = self._pulsed(tracked, kept, valve, on_us, short_us)
         parted = self._parting_us(tracked, kept, valve, direction, on_us, short_us, 0.0)
         earliest = self._parting_us(tracked, kept, valve, direction, on_us, short_us, SURE)
