@@ -31,7 +31,7 @@ LONGEST_PULSE_US: Final = 14_000
 SHORTEST_PULSE_US: Final = 9_000
 PULSE_STEP_US: Final = 500
 NEARLY_M: Final = 1e-4
-ABORT_STEP_US: Final = 100
+ABORT_STEP_US: Final = 250
 NEAR_NEUTRAL_M: Final = 1e-3
 LONGEST_PULL_US: Final = 120_000
 PULL_STEP_US: Final = 100
@@ -145,14 +145,7 @@ class Sleeves:
         contact_us = self._to_contact(tracked, side, fired).crossed_us
         if contact_us is None:
             return None
-        earliest_us, contact = max(fire_us, self._now_us), int(contact_us)
-        margin_m, found = LEAST_MARGIN_M, None
-        for _ in range(2):
-            found = self._latest(tracked, side, fired, earliest_us, contact, margin_m)
-            if found is None:
-                return None
-            margin_m = max(LEAST_MARGIN_M, SURE * self._stop_sd_m(tracked, side, fired, found))
-        return self._latest(tracked, side, fired, earliest_us, found, margin_m)
+        return self._latest(tracked, side, fired, max(fire_us, self._now_us), int(contact_us))
 
     def abort_after_us(self, gear: MainGear) -> int:
         """So long after a firing from neutral the sleeve can last be stopped short of the teeth."""
@@ -334,14 +327,15 @@ class Sleeves:
         fired: list[Switch],
         earliest_us: int,
         contact_us: int,
-        margin_m: float,
     ) -> int | None:
         """By bisection: the later the abort, the further it gets."""
-        most_m = self._law.face_m - margin_m
 
         def stops(at_us: int) -> bool:
             way = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US)
-            return side.direction * way.furthest_m <= most_m
+            short_m = self._law.face_m - side.direction * way.furthest_m
+            if short_m < LEAST_MARGIN_M:
+                return False
+            return short_m >= SURE * self._stop_sd_m(tracked, side, fired, at_us)
 
         if not stops(earliest_us):
             return None
