@@ -200,7 +200,7 @@ class Case(NamedTuple):
         if (
             before is None
             or span.start_us - before.end_us > COUNTER_US
-            or self.seen.speeds_m_s[gear.sleeve] * gear.direction >= LEAVING_M_S
+            or self.seen.means_m_s[gear.sleeve] * gear.direction >= LEAVING_M_S
         ):
             return 0.0
         return float(min(REACT_US, before.lasted_us))
@@ -283,7 +283,7 @@ class Case(NamedTuple):
         has set it going since."""
         return (
             abs(self.seen.positions_m[sleeve]) <= GUARD_NEUTRAL_M
-            and abs(self.seen.speeds_m_s[sleeve]) < LEAVING_M_S
+            and abs(self.seen.means_m_s[sleeve]) < LEAVING_M_S
             and not self.moves_on(sleeve)
         )
 
@@ -291,7 +291,7 @@ class Case(NamedTuple):
         """Whether a main sleeve stands, and its teeth touch no gear's."""
         return (
             abs(self.seen.positions_m[sleeve]) <= self.limits.apart_m
-            and abs(self.seen.speeds_m_s[sleeve]) < LEAVING_M_S
+            and abs(self.seen.means_m_s[sleeve]) < LEAVING_M_S
             and not self.moves_on(sleeve)
         )
 

@@ -43,7 +43,9 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if gear is MainGear.NEUTRAL:
         for valve in OPPOSITE.values():
             context.board.off(valve)
-        return Trigger.MAIN_BOX_NEUTRAL
+        changes_range = snapshot.view.range_ is not shift.target.range_
+        # The range waits for a sleeve that runs through neutral to stand there.
+        return None if changes_range and not snapshot.view.main_rests else Trigger.MAIN_BOX_NEUTRAL
     limits = context.settings.limits
     # An attempt is disengage_ms with the valve on, then PULL_PAUSE_US with the valve off.
     share_us = limits.disengage_ms * MS_IN_US + PULL_PAUSE_US

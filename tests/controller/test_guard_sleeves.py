@@ -36,7 +36,7 @@ def at(ms: float, way_mm: float = 0.0, speed_m_s: float = 0.0, late_ms: float = 
     calm = [Swing(each, 0.0, 0.0, 1e3, 0.0, 0.0) for each in (b, c)]
     return place(NEUTRAL, 0, 1e-3 * way_mm)._replace(
         now_us=now_us, positions_us=now_us - round(1e3 * late_ms), speeds=(a, b, c, d),
-        speeds_m_s=(speed_m_s, 0.0), swings=(calm[0], calm[1]),
+        speeds_m_s=(speed_m_s, 0.0), means_m_s=(speed_m_s, 0.0), swings=(calm[0], calm[1]),
     )  # fmt: skip
 
 
