@@ -279,12 +279,13 @@ class Case(NamedTuple):
         return self.seen.positions_us <= span.start_us + self.limits.valve_between_us[0]
 
     def is_neutral(self, sleeve: int) -> bool:
-        """Whether a main sleeve is proven neutral: it is measured there, does not move, and nothing
-        has set it going since."""
+        """Whether a main sleeve is proven neutral: it is measured there, nothing drives it to a
+        gear's teeth, and what has been driven since it stood last is not seen to move."""
+        was_driven = any(map(self.last_drive, self.limits.valves_of(sleeve)))
         return (
             abs(self.seen.positions_m[sleeve]) <= GUARD_NEUTRAL_M
-            and abs(self.seen.means_m_s[sleeve]) < LEAVING_M_S
             and not self.moves_on(sleeve)
+            and not (was_driven and abs(self.seen.means_m_s[sleeve]) >= LEAVING_M_S)
         )
 
     def stands_apart(self, sleeve: int) -> bool:
