@@ -275,6 +275,30 @@ def test_a_sleeve_that_was_stopped_is_proven_neutral_once_it_is_seen_to_stand(
         assert row(aborted(), seen, {valve: (ON_AT, 80)}) == found
 
 
+@pytest.mark.parametrize(("speed_m_s", "forbidden"), [(-0.05, 8), (0.05, 8), (-0.049, None)])
+def test_a_sleeve_that_a_pull_carries_through_neutral_is_not_proven_there(
+    speed_m_s: float, forbidden: int | None
+) -> None:
+    guard = ready()
+    for ms, way_mm in ((0.0, 12.0), (40.0, 6.0)):
+        assert row(guard, at(ms, way_mm), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(50, 0.4, speed_m_s), {RANGE_HIGH: (ON_AT, 55)}) == forbidden
+
+
+def test_noise_of_a_sleeve_that_nothing_has_driven_is_no_movement() -> None:
+    assert row(ready(), at(0, 0.1, 0.06), {RANGE_HIGH: (ON_AT, 5)}) is None
+
+
+def test_a_pull_goes_on_after_a_break_until_the_sleeve_has_come_to_neutral() -> None:
+    """Blocked for a step on its way out, a sleeve is still pulled, and not on to the other gear."""
+    for way_mm, forbidden in ((1.51, None), (1.5, 3)):
+        guard = ready()
+        for ms, at_mm in ((0.0, 12.0), (40.0, 6.0)):
+            assert row(guard, at(ms, at_mm), {FIRST: (ON_AT, 4)}) is None
+        assert row(guard, at(50, 4.0, -0.4)) is None
+        assert row(guard, at(60, way_mm, -0.4), {FIRST: (ON_AT, 64)}) == forbidden
+
+
 def speeds_for_third() -> float:
     """Slip of second gear at which third has 20 rpm."""
     second, third = (LIMITS.main[valve].ratio for valve in (SECOND, THIRD))
