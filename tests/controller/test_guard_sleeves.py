@@ -177,7 +177,7 @@ def test_a_second_stroke_meets_its_gear_the_sooner_the_nearer_it_stands(
 ) -> None:
     """7 ms of the fastest valve and up to 33 on the way; 17 of the slowest, 11 until it breaks
     away, and up to 22."""
-    found = contact_between_us(LIMITS, NOW, 1e-3 * stands_mm)
+    found = contact_between_us(LIMITS, NOW, 1e-3 * stands_mm, 1e-3 * stands_mm)
     assert found == pytest.approx((NOW + 1e3 * early_ms, NOW + 1e3 * late_ms), abs=1e-3)
 
 
@@ -247,6 +247,20 @@ def test_one_that_is_not_seen_to_stand_may_be_at_the_teeth_already() -> None:
         assert row(guard, seen, {SECOND: (ON_AT, 150)}) is None
 
 
+def test_one_that_was_pushed_and_called_back_may_be_anywhere_up_to_before_the_teeth() -> None:
+    """0.5 mm before them at most: a third of the way to 0.464 of the time; or still in neutral."""
+    guard = fired(12.0)
+    assert row(guard, at(20)) is None
+    span = Span(NOW + 60_000, 1 << 62)
+    for late_ms, early_ms in ((10.0, 22.317), (2.9, 40.0)):
+        assert row(guard, at(40, late_ms=late_ms)) is None
+        spans = (*NO_SPANS[:SECOND], span, *NO_SPANS[SECOND + 1 :])
+        judged = Case(spans, at(40, late_ms=late_ms), guard._state, LIMITS)
+        early_us, late_us = judged.contact_us(SECOND, span)
+        assert early_us == pytest.approx(span.start_us + 1e3 * early_ms, abs=1.0)
+        assert late_us == pytest.approx(span.start_us + 50_000.0)
+
+
 def test_where_a_sleeve_stood_is_kept_once_its_valve_may_have_moved_it() -> None:
     """A sleeve that is measured on its way does not count as one that begins there."""
     state = GuardState(stood_m={SECOND: 0.0})
@@ -305,11 +319,18 @@ def speeds_for_third() -> float:
     return 20.0 - (third - second) * 1000.0
 
 
-def test_a_valve_that_was_off_again_within_its_delay_has_moved_nothing() -> None:
-    for on_ms, forbidden in ((8.0, None), (7.999, 8)):
-        guard = fired(on_ms)
-        assert row(guard, at(20)) is None
-        assert row(guard, at(30), {RANGE_HIGH: (ON_AT, 40)}) == forbidden
+@pytest.mark.parametrize(("push_ms", "forbidden"), [(13.495, None), (13.6, 5)])
+def test_a_push_too_short_to_reach_the_teeth_keeps_only_neutral_in_doubt(
+    push_ms: float, forbidden: int | None
+) -> None:
+    """13.5 ms from neutral: the gear stays free, and the brake may act on it."""
+    guard = fired(20.0 - push_ms)
+    assert row(guard, at(20)) is None
+    assert row(guard, at(30), {BRAKE: (ON_AT, 32)}) == forbidden
+    guard = fired(20.0 - push_ms)
+    assert row(guard, at(20)) is None
+    assert row(guard, at(30), {RANGE_HIGH: (ON_AT, 40)}) == 8
+    assert row(guard, at(47, late_ms=10), {RANGE_HIGH: (ON_AT, 50)}) is None
 
 
 @pytest.mark.parametrize(
