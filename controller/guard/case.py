@@ -200,7 +200,7 @@ class Case(NamedTuple):
         if (
             before is None
             or span.start_us - before.end_us > COUNTER_US
-            or self.seen.speeds_m_s[gear.sleeve] * gear.direction >= LEAVING_M_S
+            or self.seen.means_m_s[gear.sleeve] * gear.direction >= LEAVING_M_S
         ):
             return 0.0
         return float(min(REACT_US, before.lasted_us))
@@ -212,25 +212,37 @@ class Case(NamedTuple):
         before = self.state.drives.get(valve)
         if was is None or was.start_us > now_us:
             return before
-        start_us = was.start_us if before is None else before.start_us
-        return Drive(
-            start_us,
+        drive = Drive(
+            was.start_us,
             min(was.end_us, now_us),
-            valve in self.state.engages or (before is not None and before.engages),
-            valve in self.state.pulls or (before is not None and before.pulls),
+            valve in self.state.engages,
+            valve in self.state.pulls,
+            self.state.stood_m.get(valve, self.way_m(valve)),
+        )
+        if before is None:
+            return drive
+        return Drive(
+            before.start_us,
+            drive.end_us,
+            before.engages or drive.engages,
+            before.pulls or drive.pulls,
+            max(before.stood_m, drive.stood_m),
         )
 
-    def moves_on(self, sleeve: int) -> bool:
-        """Whether a main sleeve may be on its way to a gear's teeth though its valve is off: it has
-        not been seen to stand since. A valve that was on for less than its delay has moved
-        nothing."""
-        drives = [
+    def drives_before(self, sleeve: int) -> list[Drive]:
+        """What has set a main sleeve going since it stood last, and does not drive it any more."""
+        found = [
             self.state.drives.get(valve) if self.spans[valve] else self.last_drive(valve)
             for valve in self.limits.valves_of(sleeve)
         ]
+        return [drive for drive in found if drive is not None]
+
+    def moves_on(self, sleeve: int) -> bool:
+        """Whether a main sleeve may be on its way to a gear's teeth though its valve is off: it was
+        on for too long to stop short of them, and has not been seen to stand since."""
         return any(
-            drive is not None and drive.engages and drive.lasted_us > self.limits.sleeve_valve_us
-            for drive in drives
+            drive.engages and drive.lasted_us > longest_pulse_us(self.limits, drive.stood_m)
+            for drive in self.drives_before(sleeve)
         )
 
     def brings_back(self, valve: int) -> bool:
@@ -273,33 +285,35 @@ class Case(NamedTuple):
 
     def contact_us(self, valve: int, span: Span) -> tuple[float, float]:
         """Earliest and latest sensor time (us) at which a sleeve driven in this span meets its
-        gear, from where it stands as it sets off; from the teeth, if it may be on its way there
-        already."""
-        stands_m = self.way_m(valve)
+        gear, from where it stands as it sets off. One that is not seen to stand since it was fired
+        before may be anywhere up to where that can have brought it."""
+        limits, sleeve = self.limits, self.limits.main[valve].sleeve
+        stands_m = farthest_m = self.way_m(valve)
         if not self.has_not_set_off(span):
-            stands_m = self.state.stood_m.get(valve, stands_m)
-        if self.moves_on(self.limits.main[valve].sleeve):
-            stands_m = self.limits.contact_m
-        return contact_between_us(self.limits, span.start_us, stands_m)
+            stands_m = farthest_m = self.state.stood_m.get(valve, stands_m)
+        if any(drive.engages for drive in self.drives_before(sleeve)):
+            farthest_m = limits.contact_m - (0.0 if self.moves_on(sleeve) else CLEAR_M)
+        return contact_between_us(limits, span.start_us, stands_m, farthest_m)
 
     def has_not_set_off(self, span: Span) -> bool:
         """Whether the positions were sampled before this span can have moved anything."""
         return self.seen.positions_us <= span.start_us + self.limits.valve_between_us[0]
 
     def is_neutral(self, sleeve: int) -> bool:
-        """Whether a main sleeve is proven neutral: it is measured there, does not move, and nothing
-        has set it going since."""
+        """Whether a main sleeve is proven neutral: it is measured there, and has been seen to stand
+        since a valve drove it; after a pull, to move no more."""
+        drives = self.drives_before(sleeve)
         return (
             abs(self.seen.positions_m[sleeve]) <= GUARD_NEUTRAL_M
-            and abs(self.seen.speeds_m_s[sleeve]) < LEAVING_M_S
-            and not self.moves_on(sleeve)
+            and all(drive.pulls for drive in drives)
+            and not (drives and abs(self.seen.means_m_s[sleeve]) >= LEAVING_M_S)
         )
 
     def stands_apart(self, sleeve: int) -> bool:
         """Whether a main sleeve stands, and its teeth touch no gear's."""
         return (
             abs(self.seen.positions_m[sleeve]) <= self.limits.apart_m
-            and abs(self.seen.speeds_m_s[sleeve]) < LEAVING_M_S
+            and abs(self.seen.means_m_s[sleeve]) < LEAVING_M_S
             and not self.moves_on(sleeve)
         )
 

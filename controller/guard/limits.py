@@ -24,7 +24,8 @@ APART_M: Final = 0.2e-3
 """A sleeve that stands this far before the teeth does not touch them: what its sensor may be wrong
 by."""
 LEAVING_M_S: Final = 0.05
-"""A sleeve this fast is on its way: some times what the sensors' noise gives."""
+"""A sleeve this fast is on its way, one slower than this over a whole frame stands: some times what
+the sensors' noise gives."""
 REACT_US: Final = 15_000
 """From a judgement until a command of the next step can take effect: a tick and the bus."""
 BUS_US: Final = 5_000

@@ -23,7 +23,7 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
         is_shut = all(
             seen.positions_us >= end_us + limits.valve_between_us[1] for end_us in ends_us
         )
-        if is_shut and abs(seen.speeds_m_s[sleeve]) < LEAVING_M_S:
+        if is_shut and abs(seen.means_m_s[sleeve]) < LEAVING_M_S:
             for valve in mine:
                 state.drives.pop(valve, None)
         if not GUARD_NEUTRAL_M < abs(seen.positions_m[sleeve]) <= limits.contact_m:

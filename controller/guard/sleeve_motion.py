@@ -21,18 +21,17 @@ times as long: friction stops it before the chamber has vented."""
 
 
 def contact_between_us(
-    limits: GuardLimits, start_us: float, stands_m: float
+    limits: GuardLimits, start_us: float, least_m: float, most_m: float
 ) -> tuple[float, float]:
     """Earliest and latest time (us) at which a sleeve meets its gear whose valve is on from
-    `start_us`; stands_m: where it stands then, positive toward the gear."""
-    share = _share_of_time(limits, limits.contact_m - stands_m)
-    least_us = limits.sleeve_delay_us - limits.sleeve_scatter_us
-    most_us = limits.sleeve_delay_us + limits.sleeve_scatter_us
+    `start_us`, and that stands between `least_m` and `most_m` then, positive toward the gear."""
     fast_us, slow_us = limits.valve_between_us
-    late_share = BREAKAWAY_SHARE + (1.0 - BREAKAWAY_SHARE) * share
+    early_us = limits.sleeve_delay_us - limits.sleeve_scatter_us - fast_us
+    late_us = limits.sleeve_delay_us + limits.sleeve_scatter_us - slow_us
+    late_share = BREAKAWAY_SHARE + (1.0 - BREAKAWAY_SHARE) * _share_of_time(limits, least_m)
     return (
-        start_us + fast_us + (least_us - fast_us) * share,
-        start_us + slow_us + (most_us - slow_us) * late_share,
+        start_us + fast_us + early_us * _share_of_time(limits, most_m),
+        start_us + slow_us + late_us * late_share,
     )
 
 
@@ -44,9 +43,10 @@ def longest_pulse_us(limits: GuardLimits, way_m: float) -> float:
     return float(stroke_us / RUN_ON * (clear_m / limits.contact_m) ** (1.0 / 3.0))
 
 
-def _share_of_time(limits: GuardLimits, way_m: float) -> float:
-    """Of the time from neutral to contact: that for the last `way_m` from rest."""
-    return float(min(1.0, max(0.0, way_m / limits.contact_m)) ** (1.0 / 3.0))
+def _share_of_time(limits: GuardLimits, stands_m: float) -> float:
+    """Of the time from neutral to contact: that of a sleeve that begins at `stands_m`."""
+    share = (limits.contact_m - stands_m) / limits.contact_m
+    return float(min(1.0, max(0.0, share)) ** (1.0 / 3.0))
 
 
 class Drive(NamedTuple):
@@ -56,8 +56,10 @@ class Drive(NamedTuple):
     end_us: int
     engages: bool
     """Whether it drove the sleeve to a gear's teeth, as far as the guard could tell."""
-    pulls: bool = False
+    pulls: bool
     """Whether it pulled a gear out."""
+    stood_m: float
+    """Where the sleeve stood as it set it going, positive toward the valve's gear."""
 
     def ending_at(self, end_us: int) -> Drive:
         """As long a one by another clock."""

@@ -96,6 +96,8 @@ class GuardInputs(NamedTuple):
     their speeds count as unknown."""
     swings: tuple[Swing | None, Swing | None] = (None, None)
     """How the speeds of layshaft and main shaft change and have changed; None where not known."""
+    means_m_s: tuple[float, float] = (0.0, 0.0)
+    """Of the two main sleeves, over all samples of a frame: with less noise, and later."""
 
 
 class GuardView:
@@ -179,6 +181,7 @@ class GuardView:
             bool(stamps),
             in_doubt,
             (self._swings[0].take(b), self._swings[1].take(c)),
+            ear.slow[SLEEVES_MAIN].means_m_s,
         )
 
     def _begin_anew(self) -> None:

@@ -16,7 +16,11 @@ ENGAGED_SHORT_M: Final = 1.0e-3
 """A sleeve within this of its stroke is in mesh."""
 ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
+RESTS_M: Final = 0.4e-3
+"""A sleeve that has moved less than this within a frame stands: some times the sensors' noise."""
 SAMPLE_US: Final = 1000
+SAMPLES: Final = 10
+"""Of a sleeve in a frame."""
 SLEEVE_COUNT: Final = len(Sleeve)
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
@@ -148,6 +152,14 @@ class GearboxView:
     def in_neutral(self, sleeve: Sleeve) -> bool:
         """Whether a sleeve stands in the middle."""
         return abs(self.position_m(sleeve)) < VIEW_NEUTRAL_M
+
+    @property
+    def main_rests(self) -> bool:
+        """Whether both main sleeves stand, as far as the samples of a frame show."""
+        return all(
+            abs(track.samples_m[0] - track.samples_m[SAMPLES - 1]) < RESTS_M
+            for track in map(self.tracks.__getitem__, MAIN_SLEEVES)
+        )
 
     def side(self, sleeve: Sleeve) -> int:
         """-1 or +1 where the sleeve is in mesh, 0 elsewhere."""

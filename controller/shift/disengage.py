@@ -46,8 +46,10 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if gear is shift.target.main and snapshot.view.range_ is shift.target.range_:
         return Trigger.MAIN_BOX_STAYS
     if gear is MainGear.NEUTRAL and comes_to_rest(context, snapshot):
-        return Trigger.MAIN_BOX_NEUTRAL
-    if context.running.pulls > context.settings.limits.attempts:
+        changes_range = snapshot.view.range_ is not shift.target.range_
+        # The range waits for a sleeve that runs through neutral to stand there.
+        return None if changes_range and not snapshot.view.main_rests else Trigger.MAIN_BOX_NEUTRAL
+    if shift.pulls > context.settings.limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     if gear is None:
         if context.late(snapshot, context.settings.limits.disengage_ms):

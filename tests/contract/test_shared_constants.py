@@ -72,6 +72,7 @@ REASONS: Final = {
     "listening.py: STAMPS": "wire contract: timestamps in an edge frame",
     "chain_kernels.py: STAMPS": "wire contract: timestamps in an edge frame",
     "listening.py: SAMPLE_S": "wire contract: positions are sampled every millisecond",
+    "gearbox_view.py: SAMPLES": "wire contract: samples of a sleeve in a frame",
     "gearbox_view.py: SAMPLE_US": "wire contract: positions are sampled every millisecond",
     "valve_switches.py: LATE_US": "wire contract: the latest a valve's activation may come",
     "valve_switches.py: AHEAD_US": "wire contract: the earliest a valve's activation may come",
@@ -91,7 +92,7 @@ REASONS: Final = {
     "brake_input.py: SWITCHES_KEPT": COUNT,
     "reference.py: MOVED_MEASUREMENTS": COUNT,
     "driveline_swing.py: LEAST_EDGES": COUNT,
-    "case.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
+    "limits.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
     "own_speed.py: MEASURED_US": "chance: a window; the rig's is a deviation of the engine's lag",
     "chain_kernels.py: SPAN_US": "chance: a window; the rig's is a deviation of the engine's lag",
 }

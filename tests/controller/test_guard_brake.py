@@ -57,7 +57,9 @@ def test_row_5_the_clutch_as_it_will_be_when_the_air_comes_in(
 def leaving(position_mm: float, speed_m_s: float, side: int = 1) -> GuardInputs:
     """The sleeve of first and second on its way out of second (side 1) or first, as of now."""
     seen = place(NEUTRAL, 0, side * position_mm * 1e-3)
-    return seen._replace(positions_us=NOW, speeds_m_s=(-side * speed_m_s, 0.0))
+    return seen._replace(
+        positions_us=NOW, speeds_m_s=(speed := -side * speed_m_s, 0.0), means_m_s=(speed, 0.0)
+    )
 
 
 @pytest.mark.parametrize("side", [-1, 1])

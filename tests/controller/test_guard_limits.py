@@ -235,7 +235,8 @@ def test_teeth_are_out_in_neutral_when_pulled_clear_or_fast_enough() -> None:
             read_ms: float = 0.0) -> bool:  # fmt: skip
         positions = (position_mm * 1e-3, 0.0, 0.012, 0.012)
         judged = case(
-            {valve: DRIVEN}, GuardState(pulls=frozenset({valve} - {FIRST})), positions_m=positions, speeds_m_s=(speed_m_s, 0.0),
+            {valve: DRIVEN}, GuardState(pulls=frozenset({valve} - {FIRST})),
+            positions_m=positions, speeds_m_s=(speed_m_s, 0.0), means_m_s=(speed_m_s, 0.0),
             positions_us=NOW_US - round(read_ms * 1e3),
         )  # fmt: skip
         return judged.teeth_are_out(0, NOW_US + at_ms * 1e3)

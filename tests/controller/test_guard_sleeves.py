@@ -36,7 +36,7 @@ def at(ms: float, way_mm: float = 0.0, speed_m_s: float = 0.0, late_ms: float = 
     calm = [Swing(each, 0.0, 0.0, 1e3, 0.0, 0.0) for each in (b, c)]
     return place(NEUTRAL, 0, 1e-3 * way_mm)._replace(
         now_us=now_us, positions_us=now_us - round(1e3 * late_ms), speeds=(a, b, c, d),
-        speeds_m_s=(speed_m_s, 0.0), swings=(calm[0], calm[1]),
+        speeds_m_s=(speed_m_s, 0.0), means_m_s=(speed_m_s, 0.0), swings=(calm[0], calm[1]),
     )  # fmt: skip
 
 
@@ -177,7 +177,7 @@ def test_a_second_stroke_meets_its_gear_the_sooner_the_nearer_it_stands(
 ) -> None:
     """7 ms of the fastest valve and up to 33 on the way; 17 of the slowest, 11 until it breaks
     away, and up to 22."""
-    found = contact_between_us(LIMITS, NOW, 1e-3 * stands_mm)
+    found = contact_between_us(LIMITS, NOW, 1e-3 * stands_mm, 1e-3 * stands_mm)
     assert found == pytest.approx((NOW + 1e3 * early_ms, NOW + 1e3 * late_ms), abs=1e-3)
 
 
@@ -247,6 +247,20 @@ def test_one_that_is_not_seen_to_stand_may_be_at_the_teeth_already() -> None:
         assert row(guard, seen, {SECOND: (ON_AT, 150)}) is None
 
 
+def test_one_that_was_pushed_and_called_back_may_be_anywhere_up_to_before_the_teeth() -> None:
+    """0.5 mm before them at most: a third of the way to 0.464 of the time; or still in neutral."""
+    guard = fired(12.0)
+    assert row(guard, at(20)) is None
+    span = Span(NOW + 60_000, 1 << 62)
+    for late_ms, early_ms in ((10.0, 22.317), (2.9, 40.0)):
+        assert row(guard, at(40, late_ms=late_ms)) is None
+        spans = (*NO_SPANS[:SECOND], span, *NO_SPANS[SECOND + 1 :])
+        judged = Case(spans, at(40, late_ms=late_ms), guard._state, LIMITS)
+        early_us, late_us = judged.contact_us(SECOND, span)
+        assert early_us == pytest.approx(span.start_us + 1e3 * early_ms, abs=1.0)
+        assert late_us == pytest.approx(span.start_us + 50_000.0)
+
+
 def test_where_a_sleeve_stood_is_kept_once_its_valve_may_have_moved_it() -> None:
     """A sleeve that is measured on its way does not count as one that begins there."""
     state = GuardState(stood_m={SECOND: 0.0})
@@ -275,17 +289,48 @@ def test_a_sleeve_that_was_stopped_is_proven_neutral_once_it_is_seen_to_stand(
         assert row(aborted(), seen, {valve: (ON_AT, 80)}) == found
 
 
+@pytest.mark.parametrize(("speed_m_s", "forbidden"), [(-0.05, 8), (0.05, 8), (-0.049, None)])
+def test_a_sleeve_that_a_pull_carries_through_neutral_is_not_proven_there(
+    speed_m_s: float, forbidden: int | None
+) -> None:
+    guard = ready()
+    for ms, way_mm in ((0.0, 12.0), (40.0, 6.0)):
+        assert row(guard, at(ms, way_mm), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(50, 0.4, speed_m_s), {RANGE_HIGH: (ON_AT, 55)}) == forbidden
+
+
+def test_noise_of_a_sleeve_that_nothing_has_driven_is_no_movement() -> None:
+    assert row(ready(), at(0, 0.1, 0.06), {RANGE_HIGH: (ON_AT, 5)}) is None
+
+
+def test_a_pull_goes_on_after_a_break_until_the_sleeve_has_come_to_neutral() -> None:
+    """Blocked for a step on its way out, a sleeve is still pulled, and not on to the other gear."""
+    for way_mm, forbidden in ((1.51, None), (1.5, 3)):
+        guard = ready()
+        for ms, at_mm in ((0.0, 12.0), (40.0, 6.0)):
+            assert row(guard, at(ms, at_mm), {FIRST: (ON_AT, 4)}) is None
+        assert row(guard, at(50, 4.0, -0.4)) is None
+        assert row(guard, at(60, way_mm, -0.4), {FIRST: (ON_AT, 64)}) == forbidden
+
+
 def speeds_for_third() -> float:
     """Slip of second gear at which third has 20 rpm."""
     second, third = (LIMITS.main[valve].ratio for valve in (SECOND, THIRD))
     return 20.0 - (third - second) * 1000.0
 
 
-def test_a_valve_that_was_off_again_within_its_delay_has_moved_nothing() -> None:
-    for on_ms, forbidden in ((8.0, None), (7.999, 8)):
-        guard = fired(on_ms)
-        assert row(guard, at(20)) is None
-        assert row(guard, at(30), {RANGE_HIGH: (ON_AT, 40)}) == forbidden
+@pytest.mark.parametrize(("push_ms", "forbidden"), [(13.495, None), (13.6, 5)])
+def test_a_push_too_short_to_reach_the_teeth_keeps_only_neutral_in_doubt(
+    push_ms: float, forbidden: int | None
+) -> None:
+    """13.5 ms from neutral: the gear stays free, and the brake may act on it."""
+    guard = fired(20.0 - push_ms)
+    assert row(guard, at(20)) is None
+    assert row(guard, at(30), {BRAKE: (ON_AT, 32)}) == forbidden
+    guard = fired(20.0 - push_ms)
+    assert row(guard, at(20)) is None
+    assert row(guard, at(30), {RANGE_HIGH: (ON_AT, 40)}) == 8
+    assert row(guard, at(47, late_ms=10), {RANGE_HIGH: (ON_AT, 50)}) is None
 
 
 @pytest.mark.parametrize(

@@ -274,7 +274,7 @@ def test_it_is_asked_while_both_shafts_are_seen_to_turn() -> None:
 def test_it_begins_anew_when_neutral_was_left_or_a_wheel_not_counted() -> None:
     turning = ShaftSpeed(0, TURNING)
     for wheel, positions in ((LAYSHAFT_EDGES, (0.0, 0.0)), (MAIN_EDGES, (0.0, 0.0)),
-                             (None, (0.002, 0.0))):  # fmt: skip
+                             (None, (0.0049, 0.0))):  # fmt: skip
         guard_view = view()
         for cycle in range(30):
             now_us, lost = CYCLE_US * cycle, cycle == 12
