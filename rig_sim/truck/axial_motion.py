@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from copy import deepcopy
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -197,10 +196,6 @@ class AxialMotion:
             self._scripted.append(Piece(since_us, end_us, rows, STOPS, 0, self._spools))
             begun_s = end_s
         self.run(time_us)
-
-    def alone(self) -> AxialMotion:
-        """A copy, to be run ahead with nothing in its way."""
-        return deepcopy(self)
 
     @property
     def _spools(self) -> tuple[bool, bool]:

@@ -17,7 +17,7 @@ from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
 from meshpoint.rig_sim.truck.axial_motion import AxialMotion
-from meshpoint.rig_sim.truck.sleeves import Axial, TruckSleeve
+from meshpoint.rig_sim.truck.sleeves import Axial
 
 PRESS_US: Final = 1_000.0
 """At this interval what rubs or waits gets the force anew, its mean until then, while air flows."""
@@ -25,13 +25,19 @@ SUPPLY_US: Final = 10_000.0
 """And at this one an open spool the tank's pressure."""
 
 
-class DrivenSleeve(TruckSleeve):
+class DrivenSleeve:
     """One main sleeve between two chambers."""
 
     def __init__(
         self, actuator: SleeveActuator, engaged_side: int, axis: Axial, cylinder: Cylinder
     ) -> None:
-        super().__init__(actuator, engaged_side, axis)
+        self._actuator = actuator
+        self.axis = axis
+        self.side = engaged_side
+        self.state = SleeveState.LOCKED if engaged_side else SleeveState.NEUTRAL
+        self.is_shallow = False
+        """In the gap, but not yet by the overlap that holds."""
+        self.jammed = False
         self._in_mesh = engaged_side != 0
         self.cylinder = cylinder.copy()
         """Its own: friction, supply and spools are set here, then `go_on`."""
@@ -59,11 +65,8 @@ class DrivenSleeve(TruckSleeve):
     @property
     def stroke_end_us(self) -> float:
         """Since ever, where it is at full stroke; else not known."""
-        return 0.0 if self.motion.stands_at_m == self._full_m else NEVER_US
-
-    @property
-    def _full_m(self) -> float:
-        return self.side * self._actuator.stroke_m
+        full_m = self.side * self._actuator.stroke_m
+        return 0.0 if self.motion.stands_at_m == full_m else NEVER_US
 
     def position_m(self, time_us: float) -> float:
         """Signed distance from neutral, at most 10 ms before the newest change."""
