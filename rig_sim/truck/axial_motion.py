@@ -74,6 +74,7 @@ class AxialMotion:
         y = cylinder.y
         y.x_m, y.v_m_s, y.a_pa, y.b_pa = position_m, 0.0, *(cylinder.atmosphere_pa,) * 2
         self._scripted: list[Piece] = []
+        self._scripted_until_us = 0.0
         self._pieces = [self._still(0.0)]
 
     @property
@@ -135,7 +136,7 @@ class AxialMotion:
     def cut(self, time_us: float) -> None:
         """The cylinder stands at this instant; what was found of the time after it is forgotten."""
         piece = self._pieces[-1]
-        if time_us < piece.end_us:
+        if time_us < piece.end_us and time_us >= self._scripted_until_us:
             self.cylinder.y.vector[:] = self.state(time_us).vector
             self.cylinder.direction = piece.direction
             t = (time_us - piece.since_us) / SECOND_US
@@ -146,10 +147,9 @@ class AxialMotion:
 
     def run(self, time_us: float) -> None:
         """Integrate from this instant, at which the cylinder stands, to what happens next."""
-        if self._scripted:
-            self._keep(self._scripted.pop(0))
-            last = self._pieces[-1].samples[-1]
-            self.cylinder.y.x_m, self.cylinder.y.v_m_s = float(last[1]), 0.0
+        if time_us < self._scripted_until_us:
+            if time_us >= self._pieces[-1].end_us:
+                self._keep_scripted()
             return
         direction = self.cylinder.direction
         samples = np.empty((SAMPLES, COLUMNS))
@@ -176,6 +176,7 @@ class AxialMotion:
     def script(self, time_us: float, stops_m: tuple[float, ...], duration_s: float) -> None:
         """The bench moves it, its chambers vented: from here to the last of these places under a
         constant force, which takes this long. Each place on the way is an event (STOPS)."""
+        self._scripted_until_us = 0.0
         self.cut(time_us)
         self.stop()
         self._scripted.clear()
@@ -195,7 +196,8 @@ class AxialMotion:
             since_us, end_us = (time_us + s * SECOND_US for s in (begun_s, end_s))
             self._scripted.append(Piece(since_us, end_us, rows, STOPS, 0, self._spools))
             begun_s = end_s
-        self.run(time_us)
+        self._scripted_until_us = self._scripted[-1].end_us
+        self._keep_scripted()
 
     @property
     def _spools(self) -> tuple[bool, bool]:
@@ -210,6 +212,11 @@ class AxialMotion:
         while index > 0 and time_us < self._pieces[index].since_us:
             index -= 1
         return self._pieces[index]
+
+    def _keep_scripted(self) -> None:
+        piece = self._scripted.pop(0)
+        self.cylinder.y.x_m, self.cylinder.y.v_m_s = float(piece.samples[-1, 1]), 0.0
+        self._keep(piece)
 
     def _keep(self, piece: Piece) -> None:
         oldest_us = piece.since_us - KEPT_US
