@@ -166,7 +166,7 @@ class DrivenSleeve:
         self.state = SleeveState.RETRACT
 
     def pull_no_more(self, time_us: float) -> None:
-        """The air has let go of a sleeve that waits."""
+        """A sleeve that waits is no longer pulled, or no longer held."""
         self.motion.cut(time_us)
         self.cylinder.held = 0
         self.go_on(time_us)
