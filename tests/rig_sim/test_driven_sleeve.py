@@ -73,6 +73,16 @@ def test_a_sleeve_broken_off_in_flight_stands_before_the_teeth(seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_a_coil_that_is_off_again_within_18_ms_leaves_the_sleeve_in_its_detent(seed: int) -> None:
+    truck = in_neutral(seed)
+    switch(truck, Valve.MAIN_SECOND, True, 100_000.0)
+    switch(truck, Valve.MAIN_SECOND, False, 118_000.0)
+    run(truck, 400_000)
+    assert contact_us(truck) is None
+    assert abs(position_m(truck)) < 0.3e-3
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_fired_again_from_there_it_meets_the_gear_sooner_and_when_expected(seed: int) -> None:
     truck = broken_off(seed)
     expected_us, sd_us = truck.truth.expected_contact_us(MainGear.SECOND, 450_000.0)
