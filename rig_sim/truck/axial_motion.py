@@ -196,7 +196,7 @@ class AxialMotion:
         piece = self._piece_at(time_us)
         t = (time_us - piece.since_us) / SECOND_US
         row = max(bisect_right(piece.samples[:, 0], t) - 1, 0)
-        found = piece.samples[row].copy()
+        found: Floats = piece.samples[row].copy()
         rest_s = min(t, float(piece.samples[-1, 0])) - float(found[0])
         if rest_s > 0.0:
             probe = self.cylinder.copy()
