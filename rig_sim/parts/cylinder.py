@@ -38,8 +38,9 @@ STOPS: Final = 3  # its speed has come to zero
 HIGH: Final = 4  # it is at `high_m`, going up
 LOW: Final = 5  # it is at `low_m`, going down
 
-COLUMNS: Final = 5
-"""Of a sample: time since the beginning s, x m, v m/s, p_A and p_B Pa."""
+COLUMNS: Final = 6
+"""Of a sample: time since the beginning s, x m, v m/s, p_A and p_B Pa, and what air and detents
+push with N."""
 
 
 class AxialState(Vector):
@@ -84,7 +85,7 @@ class Cylinder(Record):
 
 
 @part
-def push_n(y: AxialState, c: Cylinder) -> float:
+def _push_n(y: AxialState, c: Cylinder) -> float:
     """What air and detents push with, towards +x."""
     push = (y.a_pa - y.b_pa) * c.area_m2
     reach = c.detent_m
@@ -94,12 +95,6 @@ def push_n(y: AxialState, c: Cylinder) -> float:
     if left < reach:
         push += math.copysign(c.end_n * math.sin(math.pi * left / reach), y.x_m)
     return push
-
-
-@entry
-def pushed_n(cylinders: Sequence[Cylinder]) -> float:
-    """The same, of a cylinder as it stands."""
-    return push_n(cylinders[0].y, cylinders[0])
 
 
 @inlined
@@ -127,7 +122,7 @@ def _rates(y: AxialState, rate: AxialState, c: Cylinder) -> None:
     rate.x_m = y.v_m_s
     rate.v_m_s = 0.0
     if c.direction != 0:
-        force = push_n(y, c) - c.direction * c.sliding_n - c.damping_nsm * y.v_m_s
+        force = _push_n(y, c) - c.direction * c.sliding_n - c.damping_nsm * y.v_m_s
         rate.v_m_s = force / c.mass_kg
 
 
@@ -150,7 +145,7 @@ def _step(c: Cylinder, h: float) -> None:
 @part
 def _breaks(y: AxialState, c: Cylinder) -> int:
     """The direction in which a sleeve that stands begins to move, or 0."""
-    push = push_n(y, c)
+    push = _push_n(y, c)
     if abs(push) <= c.static_n or c.jammed != 0:
         return 0
     direction = 1 if push > 0.0 else -1
@@ -195,9 +190,10 @@ def _settle(c: Cylinder, code: int) -> None:
 
 
 @inlined
-def _sample(samples: Floats, row: int, t: float, y: AxialState) -> None:
+def _sample(samples: Floats, row: int, t: float, c: Cylinder) -> None:
+    y = c.y
     samples[row, 0], samples[row, 1], samples[row, 2] = t, y.x_m, y.v_m_s
-    samples[row, 3], samples[row, 4] = y.a_pa, y.b_pa
+    samples[row, 3], samples[row, 4], samples[row, 5] = y.a_pa, y.b_pa, _push_n(y, c)
 
 
 @entry
@@ -207,7 +203,7 @@ def run_ahead(cylinders: Sequence[Cylinder], duration_s: float, samples: Floats)
     ended (RUNS to LOW)."""
     c = cylinders[0]
     t, count = 0.0, 1
-    _sample(samples, 0, t, c.y)
+    _sample(samples, 0, t, c)
     if c.direction == 0:
         c.direction = _breaks(c.y, c)
         if c.direction != 0:
@@ -233,7 +229,7 @@ def run_ahead(cylinders: Sequence[Cylinder], duration_s: float, samples: Floats)
             h = high
         _settle(c, code)
         t = duration_s if h == duration_s - t else t + h
-        _sample(samples, count, t, c.y)
+        _sample(samples, count, t, c)
         count += 1
         if code != RUNS:
             return count, code

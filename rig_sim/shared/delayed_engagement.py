@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Generic
+from typing import Generic, TypeVar
 
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
-from meshpoint.rig_sim.shared.engagement import Engagement, SleeveT
-from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.engagement import Engagement
+from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
+
+AxisT = TypeVar("AxisT", bound=SleeveAxis)
 
 
-class EngagementByDelay(Engagement[SleeveT], Generic[SleeveT]):
+class EngagementByDelay(Engagement[AxisT], Generic[AxisT]):
     """An activation moves a sleeve that stands by one position, after a drawn delay."""
 
     def due(self, time_us: float) -> None:

@@ -19,7 +19,7 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
-from meshpoint.rig_sim.shared.sleeves import SleeveAxis
+from meshpoint.rig_sim.shared.sleeves import MainSleeve
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.units import RPM
 
@@ -66,7 +66,7 @@ class Engaged(NamedTuple):
     tally: Tally = NO_TALLY
 
 
-SleeveT = TypeVar("SleeveT", bound=SleeveAxis)
+SleeveT = TypeVar("SleeveT", bound=MainSleeve)
 
 
 class Engagement(ABC, Generic[SleeveT]):

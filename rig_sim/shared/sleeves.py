@@ -1,4 +1,4 @@
-"""Coupling sleeves along their axis: states, delays, positions.
+"""Coupling sleeves along their axis: states, and the law of a pure delay.
 
 The thesis regards valve, actuator and sleeve as a pure delay from activation to contact. Around it
 lies the smallest axial law that gives the position sensor something true to show:
@@ -115,6 +115,32 @@ class Movement(Protocol):
 def resting(since_us: float, position_m: float) -> Stroke:
     """No movement."""
     return Stroke(since_us, since_us, since_us, position_m, position_m, 1)
+
+
+class MainSleeve(Protocol):
+    """What is asked of a main sleeve, however it moves. `side` is the direction of the gear it is
+    at or moves to or from, -1 or +1, and 0 where it stands between its gears."""
+
+    side: int
+    state: SleeveState
+
+    @property
+    def meshed(self) -> bool:
+        """Whether the teeth of gear and sleeve overlap."""
+
+    @property
+    def next_us(self) -> float:
+        """When something of it is due."""
+
+    @property
+    def stroke_end_us(self) -> float:
+        """When the present movement ends or has ended; never, where that is not known yet."""
+
+    def position_m(self, time_us: float) -> float:
+        """Signed distance from neutral, at most 10 ms before the newest change."""
+
+    def moves_after(self, time_us: float) -> bool:
+        """Whether the position at or after that instant may differ from the present one."""
 
 
 class SleeveAxis:

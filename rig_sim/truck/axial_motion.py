@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from copy import deepcopy
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,7 +25,6 @@ from meshpoint.rig_sim.parts.cylinder import (
     STOPS,
     AxialState,
     Cylinder,
-    pushed_n,
     run_ahead,
 )
 from meshpoint.rig_sim.records import Floats, RecordArray
@@ -75,6 +73,7 @@ class AxialMotion:
         y = cylinder.y
         y.x_m, y.v_m_s, y.a_pa, y.b_pa = position_m, 0.0, *(cylinder.atmosphere_pa,) * 2
         self._scripted: list[Piece] = []
+        self._scripted_until_us = 0.0
         self._pieces = [self._still(0.0)]
 
     @property
@@ -94,7 +93,7 @@ class AxialMotion:
 
     def push_at_n(self, time_us: float) -> float:
         """What air and detents push with, towards +x."""
-        return float(pushed_n(self._probe(time_us).array))
+        return float(self._row_at(time_us)[5])
 
     def moves_after(self, time_us: float) -> bool:
         """Whether the position at or after that instant may differ from the present one."""
@@ -117,40 +116,24 @@ class AxialMotion:
 
     def state(self, time_us: float) -> AxialState:
         """Position, speed and pressures at an instant, as exact as at an event."""
-        return self._probe(time_us).record.y
-
-    def _probe(self, time_us: float) -> RecordArray[Cylinder]:
-        """A copy of the cylinder at an instant."""
-        piece = self._piece_at(time_us)
-        t = (time_us - piece.since_us) / SECOND_US
-        row = min(max(bisect_right(piece.samples[:, 0], t) - 1, 0), len(piece.samples) - 1)
-        probe = self.cylinder.copy()
-        memory = RecordArray(probe)
-        probe.y.vector[:] = piece.samples[row, 1:]
-        probe.direction = piece.direction
-        rest_s = min(t, float(piece.samples[-1, 0])) - float(piece.samples[row, 0])
-        if rest_s > 0.0:
-            run_ahead(memory.array, rest_s, np.empty((3, COLUMNS)))
-        return memory
+        return AxialState(*self._row_at(time_us)[1:5])
 
     def cut(self, time_us: float) -> None:
         """The cylinder stands at this instant; what was found of the time after it is forgotten."""
         piece = self._pieces[-1]
-        if time_us < piece.end_us:
-            self.cylinder.y.vector[:] = self.state(time_us).vector
+        if time_us < piece.end_us and time_us >= self._scripted_until_us:
+            now = self._row_at(time_us)
+            self.cylinder.y.vector[:] = now[1:5]
             self.cylinder.direction = piece.direction
-            t = (time_us - piece.since_us) / SECOND_US
-            kept = piece.samples[: max(bisect_right(piece.samples[:, 0], t), 1)]
-            now = np.array([[t, *self.cylinder.y.vector]])
-            kept = np.concatenate((kept, now))
+            kept = piece.samples[: max(bisect_right(piece.samples[:, 0], now[0]), 1)]
+            kept = np.concatenate((kept, now[None, :]))
             self._pieces[-1] = piece._replace(end_us=time_us, samples=kept, code=RUNS)
 
     def run(self, time_us: float) -> None:
         """Integrate from this instant, at which the cylinder stands, to what happens next."""
-        if self._scripted:
-            self._keep(self._scripted.pop(0))
-            last = self._pieces[-1].samples[-1]
-            self.cylinder.y.x_m, self.cylinder.y.v_m_s = float(last[1]), 0.0
+        if time_us < self._scripted_until_us:
+            if time_us >= self._pieces[-1].end_us:
+                self._keep_scripted()
             return
         direction = self.cylinder.direction
         samples = np.empty((SAMPLES, COLUMNS))
@@ -177,6 +160,7 @@ class AxialMotion:
     def script(self, time_us: float, stops_m: tuple[float, ...], duration_s: float) -> None:
         """The bench moves it, its chambers vented: from here to the last of these places under a
         constant force, which takes this long. Each place on the way is an event (STOPS)."""
+        self._scripted_until_us = 0.0
         self.cut(time_us)
         self.stop()
         self._scripted.clear()
@@ -191,30 +175,49 @@ class AxialMotion:
             rows[:, 0] = t - begun_s
             rows[:, 1] = from_m + way_m * (t / duration_s) ** 2
             rows[:, 2] = 2.0 * way_m * t / duration_s**2
-            rows[:, 3:] = c.atmosphere_pa
+            rows[:, 3:5] = c.atmosphere_pa
             rows[-1, 1] = stop_m
             since_us, end_us = (time_us + s * SECOND_US for s in (begun_s, end_s))
             self._scripted.append(Piece(since_us, end_us, rows, STOPS, 0, self._spools))
             begun_s = end_s
-        self.run(time_us)
-
-    def alone(self) -> AxialMotion:
-        """A copy, to be run ahead with nothing in its way."""
-        return deepcopy(self)
+        self._scripted_until_us = self._scripted[-1].end_us
+        self._keep_scripted()
 
     @property
     def _spools(self) -> tuple[bool, bool]:
         return self.cylinder.a_on != 0, self.cylinder.b_on != 0
 
     def _still(self, time_us: float) -> Piece:
-        rows = np.array([[0.0, *self.cylinder.y.vector]])
+        rows = np.array([[0.0, *self.cylinder.y.vector, 0.0]])
         return Piece(time_us, time_us, rows, RESTS, 0, self._spools)
+
+    def _row_at(self, time_us: float) -> Floats:
+        """A sample of this instant: the step it falls into is repeated up to there."""
+        piece = self._piece_at(time_us)
+        t = (time_us - piece.since_us) / SECOND_US
+        row = max(bisect_right(piece.samples[:, 0], t) - 1, 0)
+        found: Floats = piece.samples[row].copy()
+        rest_s = min(t, float(piece.samples[-1, 0])) - float(found[0])
+        if rest_s > 0.0:
+            probe = self.cylinder.copy()
+            probe.y.vector[:] = found[1:5]
+            probe.direction = piece.direction
+            rows = np.empty((3, COLUMNS))
+            count, _ = run_ahead(RecordArray(probe).array, rest_s, rows)
+            found = rows[count - 1]
+        found[0] = t
+        return found
 
     def _piece_at(self, time_us: float) -> Piece:
         index = len(self._pieces) - 1
         while index > 0 and time_us < self._pieces[index].since_us:
             index -= 1
         return self._pieces[index]
+
+    def _keep_scripted(self) -> None:
+        piece = self._scripted.pop(0)
+        self.cylinder.y.x_m, self.cylinder.y.v_m_s = float(piece.samples[-1, 1]), 0.0
+        self._keep(piece)
 
     def _keep(self, piece: Piece) -> None:
         oldest_us = piece.since_us - KEPT_US

@@ -14,11 +14,11 @@ from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.engagement import ROW_OF_SLEEVE, AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES
-from meshpoint.rig_sim.truck.sleeves import TruckSleeve, axial
+from meshpoint.rig_sim.truck.sleeves import DelayedSleeve, axial
 from meshpoint.units import SECOND_US
 
 
-class DelayedEngagement(TruckEngagement[TruckSleeve], EngagementByDelay[TruckSleeve]):
+class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[DelayedSleeve]):
     """An activation moves a sleeve that stands by one position, after a drawn delay."""
 
     def __init__(
@@ -32,7 +32,7 @@ class DelayedEngagement(TruckEngagement[TruckSleeve], EngagementByDelay[TruckSle
         axis = axial(built, sheet.dog.radius_m)
         where = SLEEVE_OF_MAIN[engaged]
         sleeves = {
-            name: TruckSleeve(sheet.sleeve, where.direction if name is where.sleeve else 0, axis)
+            name: DelayedSleeve(sheet.sleeve, where.direction if name is where.sleeve else 0, axis)
             for name in MAIN_SLEEVES
         }
         super().__init__(sheet, built, plant, delays, sleeves)
@@ -42,7 +42,7 @@ class DelayedEngagement(TruckEngagement[TruckSleeve], EngagementByDelay[TruckSle
         self._leave_face(name)
         self._energised.clear()
         self._truck.unwatch(ROW_OF_SLEEVE[name])
-        self.sleeves[name] = TruckSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
+        self.sleeves[name] = DelayedSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
 
     def expected_contact_us(self, gear: MainGear, fire_us: float) -> tuple[float, float]:
         """The delay's mean after the firing, whatever the sleeve does; and its deviation."""

@@ -22,7 +22,7 @@ from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.axial_motion import LONGEST_STROKE_US
 from meshpoint.rig_sim.truck.delays import TruckDelays
-from meshpoint.rig_sim.truck.driven_sleeve import DrivenSleeve
+from meshpoint.rig_sim.truck.driven_sleeve import DrivenSleeve, Spool
 from meshpoint.rig_sim.truck.engagement import ROW_OF_SLEEVE, AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES, SleeveValves
@@ -73,8 +73,8 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         """Does what is due now; the plant has been advanced to this time."""
         for name, sleeve in self.sleeves.items():
             self._axial(name, sleeve, time_us)
-            while sleeve.spools and sleeve.spools[0][0] <= time_us:
-                self._spool(name, sleeve, time_us)
+            while sleeve.spools and sleeve.spools[0].due_us <= time_us:
+                self._spool(sleeve, time_us)
                 self._axial(name, sleeve, time_us)
             if sleeve.look_us <= time_us:
                 self._look(name, sleeve, time_us)
@@ -110,8 +110,8 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
 
     def expected_contact_us(self, gear: MainGear, fire_us: float) -> tuple[float, float]:
         """When the sleeve of this gear would meet it, its coil switched on at `fire_us`, with all
-        that is known now: from where it stands or moves, its valves as they are. Mean and standard
-        deviation, us."""
+        that is known now: from where it stands or moves, its valves as they are, but not their
+        chance. Mean and standard deviation, us."""
         where = SLEEVE_OF_MAIN[gear]
         mean_s, sd_s = self.valves.expected_s(VALVE_OF_MAIN[gear], fire_us)
         spool_us = max(fire_us + mean_s * SECOND_US, self._plant.time_us)
@@ -140,19 +140,16 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         """When a copy of a sleeve meets its gear, nothing in its way."""
         sleeve = deepcopy(live)
         time_us = self._plant.time_us
-        spools = sorted([*sleeve.spools, (spool_us, side, True)])
+        fired = Spool(spool_us, side, True, spool_us)
+        spools = sorted([*sleeve.spools, fired], key=lambda spool: spool.expected_us)
         until_us = spool_us + LONGEST_STROKE_US
         sleeve.go_on(time_us)
         while time_us < until_us:
-            spool_next_us = spools[0][0] if spools else NEVER_US
             end_us = sleeve.motion.end_us
-            if spool_next_us <= end_us:
-                time_us, to, on = spools.pop(0)
-                if time_us == NEVER_US:
-                    break
-                sleeve.motion.cut(time_us)
-                self._load(sleeve.cylinder)
-                sleeve.spool(time_us, to, on)
+            if spools and spools[0].expected_us <= end_us:
+                spool = spools.pop(0)
+                time_us = max(spool.expected_us, time_us)
+                self._feed(sleeve, spool, time_us)
                 continue
             time_us = end_us
             code = sleeve.motion.code
@@ -181,18 +178,29 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         switch."""
         where = SLEEVE_OF_MAIN[gear]
         spools = self.sleeves[where.sleeve].spools
-        due_us = time_us + self.valves.draw_s(VALVE_OF_MAIN[gear], on, time_us) * SECOND_US
-        due_us = max([due_us, *(at_us for at_us, side, _ in spools if side == where.direction)])
-        spools.append((due_us, where.direction, on))
-        spools.sort(key=lambda spool: spool[0])
+        valve = VALVE_OF_MAIN[gear]
+        mean_s = self.valves.expected_s(valve, time_us)[0] if on else self.valves.mean_s(valve, on)
+        expected_us = time_us + mean_s * SECOND_US
+        due_us = time_us + self.valves.draw_s(valve, on, time_us) * SECOND_US
+        for ahead in spools:
+            if ahead.side == where.direction:
+                due_us = max(due_us, ahead.due_us)
+                expected_us = max(expected_us, ahead.expected_us)
+        spools.append(Spool(due_us, where.direction, on, expected_us))
+        spools.sort(key=lambda spool: spool.due_us)
 
-    def _spool(self, name: Sleeve, sleeve: DrivenSleeve, time_us: float) -> None:
-        _, side, on = sleeve.spools.pop(0)
-        self._stop_waiting(sleeve)
-        self._renew_air(name)
-        if on:
+    def _spool(self, sleeve: DrivenSleeve, time_us: float) -> None:
+        if sleeve.waits:
+            self._truck.g.release_nm = -1.0
+        spool = sleeve.spools.pop(0)
+        self._feed(sleeve, spool, time_us)
+        if spool.on:
             self._truck.take_air(self._delays.air_share())
-        sleeve.spool(time_us, side, on)
+
+    def _feed(self, sleeve: DrivenSleeve, spool: Spool, time_us: float) -> None:
+        sleeve.motion.cut(time_us)
+        self._load(sleeve.cylinder)
+        sleeve.spool(time_us, spool.side, spool.on)
 
     def _renew_air(self, name: Sleeve) -> None:
         sleeve, time_us = self.sleeves[name], self._plant.time_us
@@ -276,7 +284,8 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
             if limit_nm > 0.0:
                 self._truck.g.release_nm = limit_nm
             else:
-                self._stop_waiting(sleeve)
+                self._truck.g.release_nm = -1.0
+                sleeve.pull_no_more(time_us)
         elif self._stuck is name:
             self._truck.hold(at.MAIN_BOX, self._static_factor * self._face_nm(name))
         elif self._truck.rubs(ROW_OF_SLEEVE[name]):
@@ -290,8 +299,3 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         if sleeve.axis.hold_per_nm == 0.0:
             return math.inf
         return sleeve.force_at_n(time_us, -sleeve.side) / sleeve.axis.hold_per_nm
-
-    def _stop_waiting(self, sleeve: DrivenSleeve) -> None:
-        if sleeve.waits:
-            sleeve.cylinder.held = 0
-            self._truck.g.release_nm = -1.0

@@ -11,13 +11,13 @@ Both valves act at any time, in either direction, alone or together.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
 from meshpoint.rig_sim.truck.axial_motion import AxialMotion
-from meshpoint.rig_sim.truck.sleeves import Axial, TruckSleeve
+from meshpoint.rig_sim.truck.sleeves import Axial
 
 PRESS_US: Final = 1_000.0
 """At this interval what rubs or waits gets the force anew, its mean until then, while air flows."""
@@ -25,25 +25,41 @@ SUPPLY_US: Final = 10_000.0
 """And at this one an open spool the tank's pressure."""
 
 
-class DrivenSleeve(TruckSleeve):
+class Spool(NamedTuple):
+    """A spool on its way, after its coil: when it switches, and when it would without chance."""
+
+    due_us: float
+    side: int
+    """To which it pushes the sleeve."""
+    on: bool
+    expected_us: float
+
+
+class DrivenSleeve:
     """One main sleeve between two chambers."""
 
     def __init__(
         self, actuator: SleeveActuator, engaged_side: int, axis: Axial, cylinder: Cylinder
     ) -> None:
-        super().__init__(actuator, engaged_side, axis)
+        self._actuator = actuator
+        self.axis = axis
+        self.side = engaged_side
+        self.state = SleeveState.LOCKED if engaged_side else SleeveState.NEUTRAL
+        self.is_shallow = False
+        """In the gap, but not yet by the overlap that holds."""
+        self.jammed = False
         self._in_mesh = engaged_side != 0
         self.cylinder = cylinder.copy()
         """Its own: friction, supply and spools are set here, then `go_on`."""
         self.motion = AxialMotion(self.cylinder, engaged_side * actuator.stroke_m)
         self.look_us = NEVER_US
-        self.spools: list[tuple[float, int, bool]] = []
-        """Spools on their way: instant, side they push to, on."""
+        self.spools: list[Spool] = []
+        """Those on their way, the next one first."""
 
     @property
     def next_us(self) -> float:
         """When something happens on the axis, a spool switches, or the force is due anew."""
-        spool_us = self.spools[0][0] if self.spools else NEVER_US
+        spool_us = self.spools[0].due_us if self.spools else NEVER_US
         return min(self.motion.end_us, spool_us, self.look_us)
 
     @property
@@ -59,11 +75,8 @@ class DrivenSleeve(TruckSleeve):
     @property
     def stroke_end_us(self) -> float:
         """Since ever, where it is at full stroke; else not known."""
-        return 0.0 if self.motion.stands_at_m == self._full_m else NEVER_US
-
-    @property
-    def _full_m(self) -> float:
-        return self.side * self._actuator.stroke_m
+        full_m = self.side * self._actuator.stroke_m
+        return 0.0 if self.motion.stands_at_m == full_m else NEVER_US
 
     def position_m(self, time_us: float) -> float:
         """Signed distance from neutral, at most 10 ms before the newest change."""
@@ -144,15 +157,19 @@ class DrivenSleeve(TruckSleeve):
 
     def go(self, time_us: float) -> None:
         """The torque holds the sleeve no more."""
-        self.motion.cut(time_us)
-        self.cylinder.held = 0
         self.state = SleeveState.RETRACT
-        self.go_on(time_us)
+        self.pull_no_more(time_us)
 
     def unmesh(self) -> None:
         """The teeth have left each other."""
         self._in_mesh, self.is_shallow, self.cylinder.held = False, False, 0
         self.state = SleeveState.RETRACT
+
+    def pull_no_more(self, time_us: float) -> None:
+        """A sleeve that waits is no longer pulled, or no longer held."""
+        self.motion.cut(time_us)
+        self.cylinder.held = 0
+        self.go_on(time_us)
 
     def set_out(self, direction: int) -> None:
         """It begins to move between its gears, or passes neutral."""
@@ -181,11 +198,11 @@ class DrivenSleeve(TruckSleeve):
     def script_to_neutral(self, time_us: float, duration_s: float) -> None:
         """The bench moves it to neutral, within this time, its chambers vented."""
         self.spools.clear()
-        self.cylinder.held = 0
         face_m = self.side * self._actuator.to_contact_m
         stops_m = (face_m, 0.0) if self._in_mesh else (0.0,)
         self.state = SleeveState.RETRACT
         self.motion.script(time_us, stops_m, duration_s)
+        self.cylinder.held = 0
         self.look_us = NEVER_US
 
     def _set_bounds(self) -> None:

@@ -11,11 +11,12 @@ As `shared.sleeves` has it, and beyond:
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.rig_sim.shared.sleeves import (
     NEVER_US,
+    MainSleeve,
     SleeveAxis,
     SleeveEvent,
     SleeveState,
@@ -47,8 +48,37 @@ def axial(built: AsBuilt, radius_m: float) -> Axial:
     )
 
 
-class TruckSleeve(SleeveAxis):
-    """One main sleeve."""
+class TruckSleeve(MainSleeve, Protocol):
+    """What teeth and bench do to a main sleeve of the truck, however it moves."""
+
+    is_shallow: bool
+    """In the gap, but not yet by the overlap that holds."""
+    jammed: bool
+
+    def pressing_n(self, time_us: float) -> float:
+        """Force on the tooth it stands before, the seals' friction off."""
+
+    def rest_on_tooth(self, time_us: float) -> None:
+        """Contact, tooth on tooth."""
+
+    def enter(self, time_us: float) -> None:
+        """The gear's tooth stands in the gap: on to full stroke."""
+
+    def eject(self, time_us: float) -> None:
+        """A flank met before the overlap holds: back onto the face, at rest."""
+
+    def lock(self) -> None:
+        """The tooth is at the flank."""
+
+    def unmesh(self) -> None:
+        """The teeth have left each other."""
+
+    def jam(self, time_us: float, jammed: bool) -> None:
+        """No activation moves it from now on, or again."""
+
+
+class DelayedSleeve(SleeveAxis):
+    """One main sleeve by a pure delay."""
 
     def __init__(self, actuator: SleeveActuator, engaged_side: int, axis: Axial) -> None:
         super().__init__(actuator, engaged_side)

@@ -73,6 +73,16 @@ def test_a_sleeve_broken_off_in_flight_stands_before_the_teeth(seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_a_coil_that_is_off_again_within_18_ms_leaves_the_sleeve_in_its_detent(seed: int) -> None:
+    truck = in_neutral(seed)
+    switch(truck, Valve.MAIN_SECOND, True, 100_000.0)
+    switch(truck, Valve.MAIN_SECOND, False, 118_000.0)
+    run(truck, 400_000)
+    assert contact_us(truck) is None
+    assert abs(position_m(truck)) < 0.3e-3
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_fired_again_from_there_it_meets_the_gear_sooner_and_when_expected(seed: int) -> None:
     truck = broken_off(seed)
     expected_us, sd_us = truck.truth.expected_contact_us(MainGear.SECOND, 450_000.0)
@@ -103,6 +113,35 @@ def test_of_a_sleeve_under_way_the_expected_contact_knows_its_valves() -> None:
     expected_us, _ = truck.truth.expected_contact_us(MainGear.SECOND, 130_000.0)
     run(truck, 300_000)
     assert contact_us(truck) == pytest.approx(expected_us, abs=1.0)
+
+
+def test_what_is_expected_knows_no_chance_of_a_valve_that_is_switched_already() -> None:
+    truck = world({"sleeve.noise_sd_ms": 3.0, "sleeve.noise_limit_ms": 8.0}, SHEET, 2)
+    truck.engagement.reset_sleeve(NAME)
+    truck.plant.coast()
+    run(truck, 100_000)
+    before_us, sd_us = truck.truth.expected_contact_us(MainGear.SECOND, 100_000.0)
+    assert sd_us == pytest.approx(3_000.0)
+    switch(truck, Valve.MAIN_SECOND, True, 100_000.0)
+    run(truck, 102_000)
+    after_us, _ = truck.truth.expected_contact_us(MainGear.SECOND, 102_000.0)
+    run(truck, 300_000)
+    met_us = contact_us(truck)
+    assert met_us is not None
+    assert after_us == pytest.approx(before_us, abs=1.0)
+    assert abs(met_us - before_us) > 100.0
+
+
+def test_a_return_to_a_gear_asked_for_again_on_its_way_ends_in_that_gear() -> None:
+    truck = world(STEADY, SHEET)
+    for at_us in (100_000, 130_000, 250_000, 520_000):
+        run(truck, at_us)
+        truck.return_to_gear(8, 60.0, at_us)
+    run(truck, 550_000)
+    truck.change_conditions({"oil.temperature_c": 40.0})  # while the bench moves the sleeves
+    run(truck, 2_000_000)
+    assert truck.truth.locked_gear is MainGear.FIRST
+    assert abs(position_m(truck)) == FULL_M
 
 
 def pulled_out(for_us: float, seed: int) -> TruckWorld:

@@ -166,3 +166,30 @@ def test_the_sheet_of_the_limits_has_their_numbers() -> None:
     slip = chain.slip_rad_s(at.MAIN_BOX, ratio)
     equivalent_kgm2 = 2.0 * chain.impact(at.MAIN_BOX, ratio, 0.0) / slip**2
     assert equivalent_kgm2 == pytest.approx(1.0)
+
+
+def test_a_face_rubs_with_the_force_that_the_air_presses_with_as_it_rises() -> None:
+    values = limit_values(
+        sleeve__model=1,
+        sleeve__damping_nsm=1200.0,
+        sleeve__neutral_detent_n=0.0,
+        sleeve__end_detent_n=0.0,
+        dog__face_friction=0.1,
+    )
+    trials = Trials(limit_sheet(), values)
+    truck = trials.world
+    outcome = trials.engage(BACKLASH, 40.0 * RPM, patience_us=46_000.0)
+    assert outcome.contact.event is EngagementEvent.TOOTH_CONTACT
+    truck.later(0.0, lambda: None)  # trials have gone on without the world's own queue
+    area_m2, seen = 1e-4 * truck.built["sleeve.area_cm2"], []
+    for now_us in range(50_000, 62_000, 2000):
+        run(truck, now_us)
+        time_us = truck.plant.time_us
+        low_pa, high_pa = sorted(truck.truth.axis(trials.sleeve, time_us).pressures_pa)
+        seen.append((1e-6 * time_us, (high_pa - low_pa) * area_m2, truck.plant.slip_rad_s(GEAR)))
+    times_s, forces_n, slips_rad_s = np.array(seen).T
+    assert times_s[-1] - times_s[0] == pytest.approx(0.010)
+    assert forces_n[-1] > forces_n[0] + 80.0
+    # 0.1 is the friction, 75 mm the radius, 1 kgm2 the inertia at the gear
+    expected_rad_s = 0.1 * 0.075 * np.trapezoid(forces_n, times_s)
+    assert slips_rad_s[0] - slips_rad_s[-1] == pytest.approx(expected_rad_s, rel=2e-3)
