@@ -24,17 +24,19 @@ from meshpoint.gearbox import GearboxSheet
 
 ON, OFF, FEED = 0, 2, 4
 """Each of two: of the valve that pushes towards +x, and of the other."""
-FRICTION, DAMPING, DEAD, VENT, DETENT, OFFSET, GAIN = range(6, 13)
-PARAMETERS: Final = 13
-"""Two on delays and two off delays (s), two logarithms of conductances, those of friction, damping,
-dead volume and vent share; the detent's force (kN); the position sensor's offset (mm) and the
-logarithm of its gain."""
+FRICTION, DAMPING, DEAD, VENT, DETENT, OFFSET, GAIN, LEFT = range(6, 14)
+PARAMETERS: Final = 14
+"""Two on delays and two off delays (s), two logarithms of how fast a chamber fills, those of
+friction, damping, dead volume and vent share; the detent's force (kN); the position sensor's offset
+(mm) and the logarithm of its gain; and of one movement alone, the logarithm of the pressures left
+in the chambers as it begins over those that the law expects."""
 DETENT_UNIT_N: Final = 1e3
 OFFSET_UNIT_M: Final = 1e-3
 OFFSET_SD: Final = 0.12
 """Offset of a position sensor, mm: at most 0.3."""
 GAIN_SD: Final = 0.007
 """At most 1.5 %."""
+LEFT_SD: Final = 0.08
 OWN_FEED_SD: Final = 0.10
 """By how much two valves of a sleeve differ in their conductance."""
 LEAST_CONDUCTANCE: Final = 1e-10
@@ -44,6 +46,7 @@ LONGEST_S: Final = 0.5
 _SUPPLY: Final = 5
 _FEED: Final = 6
 _FRICTION: Final = 8
+_DEAD: Final = 10
 
 
 class Prior(NamedTuple):
@@ -87,10 +90,17 @@ class SleeveLaw:
         """The law's record (`cylinder.Law`) at a supply pressure."""
         law = self._flat.copy()
         law[_SUPPLY] = self.atmosphere_pa + supply_gauge_pa
-        law[_FEED : _FEED + 2] = self._nominal * np.exp(learned[FEED : FEED + 2])
         law[_FRICTION : _FRICTION + 4] *= np.exp(learned[FRICTION : VENT + 1])
+        # A stroke's time goes with the rate at which a chamber fills: a larger chamber has a valve
+        # that lets through as much more.
+        larger = self._chamber_m3(law) / self._chamber_m3(self._flat)
+        law[_FEED : _FEED + 2] = self._nominal * larger * np.exp(learned[FEED : FEED + 2])
         law[-1] = max(learned[DETENT], 0.0) * DETENT_UNIT_N
         return law
+
+    def _chamber_m3(self, law: Vector) -> float:
+        """Volume of a chamber with the sleeve in neutral."""
+        return float(law[_DEAD] + law[0] * self.stroke_m)
 
     def at_rest(self, x_m: float) -> Vector:
         """The state of a sleeve that rests with both chambers vented."""
@@ -112,7 +122,7 @@ class SleeveLaw:
             sleeve.vent_tolerance,
         )
         sd[DETENT] = sleeve.detent_tolerance_n / DETENT_UNIT_N
-        sd[OFFSET], sd[GAIN] = OFFSET_SD, GAIN_SD
+        sd[OFFSET], sd[GAIN], sd[LEFT] = OFFSET_SD, GAIN_SD, LEFT_SD
         slope = self._slope(mean)
         own = max(sleeve.delay_limit_s - sleeve.valve_delay_tolerance_s, 1e-4) / 2.0
         # Of the conductances, one part each has of its own, one they have in common, and one that

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from meshpoint.controller.sleeve.cylinder import (
     WAY_WORDS,
     move,
 )
-from meshpoint.controller.sleeve.law import OFF, ON, SleeveLaw
+from meshpoint.controller.sleeve.law import LEFT, OFF, ON, SleeveLaw
 from meshpoint.units import SECOND_US, US
 
 PLUS, MINUS = 0, 1
@@ -81,6 +82,7 @@ def follow(
             spools[:, 0] -= (moves_us - begin_us) * US
             begin_us = moves_us
     x, way = start.state.copy(), np.zeros(WAY_WORDS)
+    x[2:4] = law.atmosphere_pa + (x[2:4] - law.atmosphere_pa) * math.exp(learned[LEFT])
     move(
         law.flat(learned, supply_pa),
         x,

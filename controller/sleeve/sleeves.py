@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,35 +11,39 @@ import numpy as np
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
+from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_REST, TO_TURN
-from meshpoint.controller.sleeve.law import FEED, OFF, ON, PARAMETERS, SleeveLaw
+from meshpoint.controller.sleeve.fit import slopes
+from meshpoint.controller.sleeve.law import SleeveLaw
 from meshpoint.controller.sleeve.motion import Switch, Way
-from meshpoint.controller.sleeve.tracked import TrackedSleeve
+from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
-from meshpoint.units import SECOND_US
+from meshpoint.units import SECOND_US, US
 
 LONGEST_US: Final = 500_000
 """No sleeve takes longer to its gear."""
 STOPS_US: Final = 40_000
 """A sleeve that is stopped in flight stands within this time, or is not stopped."""
 RESTS_US: Final = 400_000
+REST_SD_M: Final = 5e-5
+"""How well the place of a resting sleeve is known, its sensor's offset and gain aside."""
 LEAST_MARGIN_M: Final = 2e-4
 SURE: Final = 2.5
 """Standard deviations by which a sleeve stops short of the teeth."""
 LONGEST_PULSE_US: Final = 14_000
 SHORTEST_PULSE_US: Final = 9_000
+"""The step that aborts sends the pulse's beginning, the next one its end."""
 PULSE_STEP_US: Final = 500
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 250
-NEAR_NEUTRAL_M: Final = 1e-3
 LONGEST_PULL_US: Final = 120_000
 PULL_STEP_US: Final = 100
 ABORT_SUPPLY_PA: Final = 2e4
+"""The last abort is worked out anew where the supply has changed by so much."""
+NEAR_NEUTRAL_M: Final = 1e-3
 LEAST_SUPPLY_SHARE: Final = 0.1
-PROBE: Final = 0.02
-PROBE_S: Final = 2e-4
 
 
 class Side(NamedTuple):
@@ -55,6 +60,7 @@ _SIDES: Final = {
     for gear, side in SLEEVE_OF_MAIN.items()
 }
 _OF_VALVE: Final = {SLEEVE_VALVE[gear]: _SIDES[gear] for gear in MAIN_GEARS}
+_GEAR_AT: Final = {(side.sleeve, side.direction): gear for gear, side in _SIDES.items()}
 _VALVES: Final = {(side.sleeve, side.valve): name for name, side in _OF_VALVE.items()}
 
 
@@ -67,10 +73,15 @@ class Sleeves:
         self._sheet_pa = sheet.air.supply_gauge_pa
         self.supply_pa = self._sheet_pa
         """Present supply pressure, gauge."""
-        self._scatter_s = sheet.sleeve.delay_sd_s
         self._now_us = 0
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
+        """By gear: for what it was worked out, and so long after a firing the last abort comes."""
         self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
+        self._chances = {gear: ContactChance(sheet.sleeve) for gear in MAIN_GEARS}
+        self._neutral_sd_s = {gear: self._law_sd_s(gear) for gear in MAIN_GEARS}
+        """Deviation of the contact from neutral by what is known of the law, no chance in it."""
+        self._contacts: dict[Sleeve, Contact | None] = dict.fromkeys(MAIN_SLEEVES)
+        self._tell_scatter()
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
         """A main valve's coil switches then (known in advance, or since); this replaces what was
@@ -96,8 +107,31 @@ class Sleeves:
         self._now_us = now_us
         for sleeve, tracked in self._sleeves.items():
             track = view.tracks.get(sleeve)
-            if track is not None:
-                tracked.take(track, self._supply_pa)
+            if track is None:
+                continue
+            tracked.take(track, self._supply_pa)
+            if tracked.contact is not self._contacts[sleeve]:
+                self._learn_contact(sleeve, tracked)
+
+    def _learn_contact(self, sleeve: Sleeve, tracked: TrackedSleeve) -> None:
+        contact = self._contacts[sleeve] = tracked.contact
+        if contact is None:
+            return
+        gear = _GEAR_AT[sleeve, contact.direction]
+        if self._chances[gear].learn(contact, self._neutral_sd_s[gear]):
+            self._neutral_sd_s[gear] = self._law_sd_s(gear)
+            self._tell_scatter()
+
+    def _tell_scatter(self) -> None:
+        for gear, side in _SIDES.items():
+            self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
+
+    def contact_us(self, gear: MainGear) -> float | None:
+        """When the sleeve last came to this gear's teeth, as measured; None before it did."""
+        side = _SIDES[gear]
+        contact = self._contacts[side.sleeve]
+        is_here = contact is not None and contact.direction == side.direction
+        return contact.measured_us if contact is not None and is_here else None
 
     @property
     def _supply_pa(self) -> float:
@@ -107,7 +141,9 @@ class Sleeves:
         """Where a sleeve is then, by the law and the commands so far."""
         tracked = self._sleeves[sleeve]
         way = tracked.at(at_us, self._supply_pa)
-        sd_m = math.hypot(5e-5, way.end_m_s * float(np.max(tracked.late_sd_s, initial=0.0)))
+        sd_m = math.hypot(
+            REST_SD_M, way.end_m_s * max(map(tracked.sd_of, tracked.switches), default=0.0)
+        )
         return Place(way.m, way.end_m_s, sd_m, way.end_m_s != 0.0)
 
     def stroke(self, gear: MainGear, fire_us: int) -> Stroke:
@@ -115,25 +151,41 @@ class Sleeves:
         then."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
-        return self._contact(tracked, side, self._fired(tracked, side, fire_us))
+        return self._stroke(gear, tracked, self._fired(tracked, side, fire_us))
 
-    def _contact(self, tracked: TrackedSleeve, side: Side, switches: list[Switch]) -> Stroke:
-        way = self._to_contact(tracked, side, switches)
-        contact_us = way.crossed_us
-        if contact_us is None:
-            contact_us = float(switches[-1].time_us + LONGEST_US)
-        sd_s = self._contact_sd_s(tracked, side, switches, contact_us)
-        return Stroke(round(contact_us), SECOND_US * sd_s, 4.0, way.speed_m_s, way.force_n)
+    def stroke_after(self, gear: MainGear, halt: Halt, fire_us: int) -> Stroke:
+        """The contact, if a sleeve on its way to this gear is stopped so, and fired again then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        stopped = _aborted(tracked.switches, side, halt.at_us, halt.off_us - halt.at_us)
+        return self._stroke(gear, tracked, [*stopped, Switch(fire_us, side.valve, True)])
 
     def from_neutral(self, gear: MainGear) -> Stroke:
         """A stroke from neutral at the present supply pressure: `contact_us` is its delay."""
         side = _SIDES[gear]
-        tracked = TrackedSleeve.of(self._sleeves[side.sleeve], self._law.at_rest(0.0))
-        switches = [Switch(0, side.valve, True)]
+        tracked = self._sleeves[side.sleeve].at_rest(0.0)
+        return self._stroke(gear, tracked, [Switch(0, side.valve, True)])
+
+    def _stroke(self, gear: MainGear, tracked: TrackedSleeve, switches: list[Switch]) -> Stroke:
+        side, chance = _SIDES[gear], self._chances[gear]
         way = self._to_contact(tracked, side, switches)
-        contact_us = float(LONGEST_US) if way.crossed_us is None else way.crossed_us
-        sd_s = self._contact_sd_s(tracked, side, switches, contact_us)
-        return Stroke(round(contact_us), SECOND_US * sd_s, 4.0, way.speed_m_s, way.force_n)
+        if way.crossed_us is None:
+            last_us = max((one.time_us for one in switches), default=tracked.start.time_us)
+            return Stroke(last_us + LONGEST_US, SECOND_US * FAR_S, chance.freedom, 0.0, 0.0)
+        way_share = abs(side.direction * self._law.face_m - tracked.start.state[0])
+        bias_s = chance.bias_s * min(1.0, way_share / self._law.face_m)
+        sd_s = self._contact_sd_s(tracked, side, switches, way.crossed_us)
+        contact_us = round(way.crossed_us + SECOND_US * bias_s)
+        return Stroke(contact_us, SECOND_US * sd_s, chance.freedom, way.speed_m_s, way.force_n)
+
+    def _law_sd_s(self, gear: MainGear) -> float:
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve].at_rest(0.0)
+        switches = [Switch(0, side.valve, True)]
+        tracked.switch_sd_s = [0.0, 0.0]
+        way = self._to_contact(tracked, side, switches)
+        crossed_us = LONGEST_US if way.crossed_us is None else way.crossed_us
+        return self._contact_sd_s(tracked, side, switches, crossed_us)
 
     def last_abort_us(self, gear: MainGear, fire_us: int) -> int | None:
         """The latest "driving valve off, opposite one on" (coils) at which a sleeve fired at
@@ -149,15 +201,14 @@ class Sleeves:
 
     def abort_after_us(self, gear: MainGear) -> int:
         """So long after a firing from neutral the sleeve can last be stopped short of the teeth."""
-        tracked = self._sleeves[_SIDES[gear].sleeve]
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
         known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
         found = self._abort_after.get(gear)
         if found is None or found[0] != known:
-            rested = Sleeves.__new__(Sleeves)
-            rested.__dict__.update(self.__dict__)
-            at_rest = TrackedSleeve.of(tracked, self._law.at_rest(0.0))
-            rested._sleeves, rested._now_us = {_SIDES[gear].sleeve: at_rest}, 0
-            last_us = rested.last_abort_us(gear, 0)
+            rested, fired = tracked.at_rest(0.0), [Switch(0, side.valve, True)]
+            contact_us = self._to_contact(rested, side, fired).crossed_us or 0.0
+            last_us = self._latest(rested, side, fired, 0, int(contact_us))
             found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
         return found[1]
 
@@ -166,11 +217,12 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         fired = [one for one in tracked.switches if one.time_us < at_us]
-        best = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US).furthest_m
+        longest = _aborted(fired, side, at_us, LONGEST_PULSE_US)
+        best = self._stopped(tracked, side, longest).furthest_m
         short_m = side.direction * best + NEARLY_M
         pulse_us = SHORTEST_PULSE_US
         while pulse_us < LONGEST_PULSE_US:
-            way = self._stopped(tracked, side, fired, at_us, pulse_us)
+            way = self._stopped(tracked, side, _aborted(fired, side, at_us, pulse_us))
             if way.turned_us is not None and side.direction * way.furthest_m <= short_m:
                 break
             pulse_us += PULSE_STEP_US
@@ -181,21 +233,18 @@ class Sleeves:
         sd_m = self._stop_sd_m(tracked, side, fired, at_us)
         return Halt(at_us, at_us + pulse_us, way.m, sd_m)
 
-    def stroke_after(self, gear: MainGear, halt: Halt, fire_us: int) -> Stroke:
-        """The contact, if a sleeve on its way to this gear is stopped so, and fired again then."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
-        switches = _aborted(tracked.switches, side, halt.at_us, halt.off_us - halt.at_us)
-        return self._contact(tracked, side, [*switches, Switch(fire_us, side.valve, True)])
-
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
         """The pulse that brings a sleeve to rest in neutral, from where it is then, before the
-        teeth or between unloaded ones. None where it is there."""
+        teeth or between unloaded ones: towards neutral, or against its motion where it would fly
+        past. None where it comes to rest there by itself."""
         tracked = self._sleeves[sleeve]
-        now = tracked.at(at_us, self._supply_pa)
-        if abs(now.m) < NEAR_NEUTRAL_M and now.end_m_s == 0.0:
+        kept = [one for one in tracked.switches if one.time_us < at_us]
+        left = tracked.ahead(
+            self._supply_pa, ending=TO_REST, until_us=at_us + RESTS_US, switches=kept
+        )
+        if abs(left.m) < NEAR_NEUTRAL_M:
             return None
-        return self._pulse(tracked, sleeve, at_us, 1 if now.m < 0.0 else -1)
+        return self._pulse(tracked, sleeve, at_us, 1 if left.m < 0.0 else -1)
 
     def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
@@ -271,7 +320,7 @@ class Sleeves:
         tracked: TrackedSleeve,
         side: Side,
         switches: list[Switch],
-        learned: Vector | None = None,
+        unknowns: Vector | None = None,
     ) -> Way:
         last_us = max((one.time_us for one in switches), default=tracked.start.time_us)
         return tracked.ahead(
@@ -279,45 +328,36 @@ class Sleeves:
             ending=TO_LEVEL,
             until_us=last_us + LONGEST_US,
             switches=switches,
+            unknowns=unknowns,
             level_m=side.direction * self._law.face_m,
             direction=float(side.direction),
-            learned=learned,
         )
 
     def _contact_sd_s(
         self, tracked: TrackedSleeve, side: Side, switches: list[Switch], contact_us: float
     ) -> float:
-        slope = np.zeros(PARAMETERS)
-        for k in range(PARAMETERS):
-            if k < FEED:
-                continue
-            learned = tracked.learned.copy()
-            learned[k] += PROBE
-            crossed_us = self._to_contact(tracked, side, switches, learned).crossed_us
-            if crossed_us is not None:
-                slope[k] = (crossed_us - contact_us) * 1e-6 / PROBE
-        slope[ON + side.valve] = 1.0
-        variance = float(slope @ tracked.covariance @ slope)
-        return math.sqrt(variance + tracked.switch_sd_s[side.valve] ** 2)
+        def crossed_s(unknowns: Vector) -> Vector:
+            crossed_us = self._to_contact(tracked, side, switches, unknowns).crossed_us
+            return np.array([0.0 if crossed_us is None else (crossed_us - contact_us) * US])
+
+        return _sd(crossed_s, tracked, switches, 0.0)
 
     def _stopped(
         self,
         tracked: TrackedSleeve,
         side: Side,
-        fired: list[Switch],
-        at_us: int,
-        pulse_us: int,
-        learned: Vector | None = None,
+        switches: list[Switch],
+        unknowns: Vector | None = None,
     ) -> Way:
-        """As far as it gets, if it is aborted then."""
+        """As far as it gets, if it is aborted by these switches."""
         return tracked.ahead(
             self._supply_pa,
             ending=TO_TURN,
-            until_us=at_us + STOPS_US,
-            switches=_aborted(fired, side, at_us, pulse_us),
+            until_us=switches[-1].time_us + STOPS_US,
+            switches=switches,
+            unknowns=unknowns,
             level_m=side.direction * self._law.stroke_m,
             direction=float(side.direction),
-            learned=learned,
         )
 
     def _latest(
@@ -331,7 +371,7 @@ class Sleeves:
         """By bisection: the later the abort, the further it gets."""
 
         def stops(at_us: int) -> bool:
-            way = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US)
+            way = self._stopped(tracked, side, _aborted(fired, side, at_us, LONGEST_PULSE_US))
             short_m = self._law.face_m - side.direction * way.furthest_m
             if short_m < LEAST_MARGIN_M:
                 return False
@@ -349,23 +389,22 @@ class Sleeves:
         self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int
     ) -> float:
         """Deviation of the place to which an aborted sleeve gets."""
-        base_m = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US).furthest_m
-        slope = np.zeros(PARAMETERS)
-        scatter = 0.0
-        other = 1 - side.valve
-        for k in range(PARAMETERS):
-            probe = PROBE_S if k < FEED else PROBE
-            learned = tracked.learned.copy()
-            learned[k] += probe
-            way = self._stopped(tracked, side, fired, at_us, LONGEST_PULSE_US, learned)
-            slope[k] = (way.furthest_m - base_m) / probe
-        for k, valve in (
-            (ON + side.valve, side.valve),
-            (OFF + side.valve, side.valve),
-            (ON + other, other),
-        ):
-            scatter += (slope[k] * tracked.switch_sd_s[valve]) ** 2
-        return math.sqrt(float(slope @ tracked.covariance @ slope) + scatter)
+        switches = _aborted(fired, side, at_us, LONGEST_PULSE_US)
+
+        def furthest_m(unknowns: Vector) -> Vector:
+            return np.array([self._stopped(tracked, side, switches, unknowns).furthest_m])
+
+        base_m = self._stopped(tracked, side, switches).furthest_m
+        return _sd(furthest_m, tracked, switches, base_m)
+
+
+def _sd(
+    of: Callable[[Vector], Vector], tracked: TrackedSleeve, switches: list[Switch], base: float
+) -> float:
+    """Deviation of a figure by what is not known of law and switches."""
+    slope = slopes(of, tracked.unknowns(switches), np.array([base]))[0]
+    variance = float(slope @ tracked.covariance_with(switches) @ slope)
+    return math.sqrt(max(variance, 0.0))
 
 
 def _aborted(fired: list[Switch], side: Side, at_us: int, pulse_us: int) -> list[Switch]:

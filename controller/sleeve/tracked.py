@@ -3,41 +3,53 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import TO_TIME
+from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_TIME
+from meshpoint.controller.sleeve.fit import fit
 from meshpoint.controller.sleeve.law import (
     GAIN,
+    LEFT,
+    LEFT_SD,
     OFF,
     OFFSET,
     OFFSET_UNIT_M,
     ON,
+    PARAMETERS,
     Prior,
     SleeveLaw,
 )
 from meshpoint.controller.sleeve.motion import Start, Switch, Way, follow
+from meshpoint.units import SECOND_US, US
 
-SAMPLE_SD_M: Final = 1e-4
-"""Of a sample from the law: its noise, 0.04 mm, and what a law leaves out."""
-REST_SD_M: Final = 5e-5
 STILL_M: Final = 1.5e-4
 """Samples within this of each other are of a sleeve that rests."""
-VENTED_US: Final = 60_000
-"""So long after its last switch a sleeve that stands still is vented."""
+STANDS_US: Final = 40_000
+"""So long after its last switch a sleeve that stands still stays where it is."""
+VENTED_PA: Final = 2e3
+"""A chamber with no more than this above the air around is vented."""
 SHORT_M: Final = 4e-4
 """Nearer to the faces than this a tooth may stop it."""
 LOST_M: Final = 8e-4
 """The law is this far from what is measured: something else holds or moves the sleeve."""
-SWITCH_SD_S: Final = 1e-3
-"""Scatter of a valve from switch to switch, where none was learned."""
-KEPT_US: Final = 400_000
-"""Samples and switches older than this are of no movement under way."""
-MOST_SWITCHES: Final = 8
+UNEXPLAINED_M: Final = 2e-4
+"""A movement whose samples are this far from the law, rms, is of something else."""
+MOST_SAMPLES: Final = 120
+FADES: Final = 0.002
+"""From one movement to the next, this much of what is known fades to what the sheet says."""
+REST_SAMPLES: Final = 10
+STOP_SD_M: Final = 1e-4
+"""Deviation of a sleeve's stop in its gear from the sheet's stroke."""
+LEAST_SAMPLES: Final = 6
+STARTED_M: Final = 2e-4
+FIRST_FIT, LATER_FIT, LAST_FIT = 2, 1, 4
+"""Iterations."""
 
 
 @dataclass
@@ -48,84 +60,148 @@ class Movement:
     readings_m: list[float] = field(default_factory=list)
 
 
+class Contact(NamedTuple):
+    """A sleeve has come to a gear's teeth. Times in us of the sensor clock."""
+
+    direction: int
+    fired_us: int
+    from_m: float
+    """Where it stood before."""
+    measured_us: float
+    expected_us: float
+    """By what was known before it moved."""
+    usual_us: float
+    """By what is known now, without the chance of this stroke."""
+    fitted_us: float | None
+    """By what is known now of this stroke; None where the law does not explain it."""
+
+
 class TrackedSleeve:
     """One main sleeve."""
 
     def __init__(self, law: SleeveLaw, prior: Prior) -> None:
         self.law = law
-        self.learned: Vector = prior.mean.copy()
-        self.covariance: Vector = prior.covariance.copy()
+        self._sheet = prior
+        self._known = prior
+        """What was known at the last rest."""
+        self.learned: Vector = prior.mean
+        self.late_s: Vector = np.zeros(0)
+        """By how much each switch's spool is later than its valve's learned delay."""
+        self.joint: Vector = prior.covariance
+        """Covariance of both."""
         self.version = 0
         """Changes when more was learned."""
         self.start = Start(0, law.at_rest(0.0), True)
         self.rest_m = 0.0
         """The sensor's reading where the sleeve last rested."""
         self.switches: list[Switch] = []
-        self.late_s: Vector = np.zeros(0)
-        """By how much each switch's spool is later than its valve's learned delay."""
-        self.late_sd_s: Vector = np.zeros(0)
-        self.switch_sd_s = [SWITCH_SD_S, SWITCH_SD_S]
+        self.switch_sd_s = [0.0, 0.0]
         """Scatter of each valve from switch to switch."""
         self.newest_us: int | None = None
         self.movement = Movement()
+        self._rests = True
+        self._switched_us = 0
+        """When a switch last came that is no longer among those above."""
+        self._left_m: Vector = np.zeros(0)
+        """What the fit of this movement leaves of its samples."""
         self.is_free = True
         """No tooth stands in its way, and the law has been right since it left its rest."""
+        self.contact: Contact | None = None
+        """The newest contact."""
 
-    @classmethod
-    def of(cls, other: TrackedSleeve, state: Vector) -> TrackedSleeve:
-        """The same sleeve as it would be at rest in this state, without switches."""
-        at_rest = cls(other.law, Prior(other.learned, other.covariance))
-        at_rest.start, at_rest.switch_sd_s = Start(0, state, True), other.switch_sd_s
-        return at_rest
+    @property
+    def known(self) -> Prior:
+        """What was known at the last rest."""
+        return self._known
+
+    @known.setter
+    def known(self, known: Prior) -> None:
+        self._known = known
+        self._forget_movement()
+
+    def at_rest(self, x_m: float) -> TrackedSleeve:
+        """The same sleeve as it would be at rest there, without switches."""
+        other = TrackedSleeve(self.law, self._known)
+        other.start, other.switch_sd_s = Start(0, self.law.at_rest(x_m), True), self.switch_sd_s
+        return other
 
     def place_of(self, reading_m: float) -> float:
         """Where the sleeve is that the sensor shows there."""
-        offset_m = self.learned[OFFSET] * OFFSET_UNIT_M
-        return float((reading_m - offset_m) * math.exp(-self.learned[GAIN]))
+        return _place_m(self.learned, reading_m)
+
+    # ---- switches
 
     def commanded(self, valve: int, on: bool, time_us: int, now_us: int) -> None:
         """A coil switches then; replaces what was still to come of that valve."""
-        if any(one == (time_us, valve, on) for one in self.switches):
-            self._drop(lambda one: one.valve == valve and one.time_us > max(time_us, now_us))
-            return
-        self._drop(lambda one: one.valve == valve and one.time_us > now_us)
-        if self.driven(valve, time_us) == on:
-            return
-        self._insert(Switch(time_us, valve, on))
-
-    def _insert(self, switch: Switch) -> None:
-        at = sum(one.time_us <= switch.time_us for one in self.switches)
-        self.switches.insert(at, switch)
-        self.late_s = np.insert(self.late_s, at, 0.0)
-        self.late_sd_s = np.insert(self.late_sd_s, at, self.sd_of(switch))
+        self.expected(valve, [(time_us, on)], now_us)
 
     def expected(self, valve: int, switches: list[tuple[int, bool]], now_us: int) -> None:
         """What is to come of a valve is this."""
         wanted = [Switch(time_us, valve, on) for time_us, on in switches]
-        self._drop(lambda one: one.valve == valve and one.time_us > now_us and one not in wanted)
+        self._keep(lambda one: one.valve != valve or one.time_us <= now_us or one in wanted)
         for one in wanted:
             if one not in self.switches and self.driven(valve, one.time_us) != one.on:
                 self._insert(one)
 
+    def _insert(self, switch: Switch) -> None:
+        at, valve = sum(one.time_us <= switch.time_us for one in self.switches), switch.valve
+        self.switches.insert(at, switch)
+        self.late_s = np.insert(self.late_s, at, 0.0)
+        row = PARAMETERS + at
+        self.joint = np.insert(np.insert(self.joint, row, 0.0, axis=0), row, 0.0, axis=1)
+        self.joint[row, row] = self.switch_sd_s[valve] ** 2
+
     def withdrawn(self, valve: int, now_us: int) -> None:
         """What was still to come of a valve does not come."""
-        self._drop(lambda one: one.valve == valve and one.time_us > now_us)
+        self._keep(lambda one: one.valve != valve or one.time_us <= now_us)
 
-    def _drop(self, is_gone) -> None:  # type: ignore[no-untyped-def]
-        keep = [k for k, one in enumerate(self.switches) if not is_gone(one)]
-        if len(keep) < len(self.switches):
-            self.switches = [self.switches[k] for k in keep]
-            self.late_s, self.late_sd_s = self.late_s[keep], self.late_sd_s[keep]
+    def _keep(self, stays: Callable[[Switch], bool]) -> None:
+        keep = [k for k, one in enumerate(self.switches) if stays(one)]
+        if len(keep) == len(self.switches):
+            return
+        self.switches = [self.switches[k] for k in keep]
+        self.late_s = self.late_s[keep]
+        rows = [*range(PARAMETERS), *(PARAMETERS + k for k in keep)]
+        self.joint = self.joint[np.ix_(rows, rows)]
+
+    def late_of(self, switch: Switch) -> float:
+        """By how much its spool is late beyond its valve's delay, as far as it is known."""
+        known = self.switches.index(switch) if switch in self.switches else None
+        return 0.0 if known is None else float(self.late_s[known])
+
+    def covariance_with(self, switches: list[Switch]) -> Vector:
+        """Covariance of what is learned and of these switches' chance."""
+        rows = [PARAMETERS + self.switches.index(o) if o in self.switches else -1 for o in switches]
+        size = len(self.joint)
+        whole = np.zeros((size + 1, size + 1))
+        whole[:size, :size] = self.joint
+        at = [*range(PARAMETERS), *rows]
+        covariance = whole[np.ix_(at, at)]
+        for k, one in enumerate(switches):
+            if rows[k] < 0:
+                own = PARAMETERS + k
+                covariance[own, :] = covariance[:, own] = 0.0
+                covariance[own, own] = self.switch_sd_s[one.valve] ** 2
+        return covariance
 
     def sd_of(self, switch: Switch) -> float:
-        """How uncertain a switch's spool is before anything is seen of it."""
+        """How uncertain it is when a switch's spool moves."""
+        covariance = self.covariance_with([switch])
+        pick = np.zeros(len(covariance))
+        pick[(ON if switch.on else OFF) + switch.valve] = pick[-1] = 1.0
+        return math.sqrt(max(float(pick @ covariance @ pick), 0.0))
+
+    def spool_us(self, switch: Switch) -> float:
+        """When its spool moves, as expected."""
         k = (ON if switch.on else OFF) + switch.valve
-        return math.sqrt(self.covariance[k, k] + self.switch_sd_s[switch.valve] ** 2)
+        return switch.time_us + (self.learned[k] + self.late_of(switch)) * SECOND_US
 
     def driven(self, valve: int, time_us: float) -> bool:
         """Whether a coil is on then, by the commands."""
         before = [one.on for one in self.switches if one.valve == valve and one.time_us <= time_us]
         return before[-1] if before else bool(self.start.state[4 + valve])
+
+    # ---- where it goes
 
     def ahead(
         self,
@@ -134,20 +210,19 @@ class TrackedSleeve:
         ending: int,
         until_us: float,
         switches: list[Switch] | None = None,
-        learned: Vector | None = None,
-        late_s: Vector | None = None,
+        unknowns: Vector | None = None,
         **asked: float | Vector,
     ) -> Way:
-        """Where the sleeve goes, by the commands so far or by these."""
+        """Where the sleeve goes, by the commands so far or by these. unknowns: other ones than
+        those expected: what is learned, then the chance of each switch."""
         if switches is None:
-            switches, late_s = self.switches, self.late_s if late_s is None else late_s
-        if late_s is None:
-            known = dict(zip(self.switches, self.late_s.tolist(), strict=True))
-            late_s = np.array([known.get(one, 0.0) for one in switches])
+            switches = self.switches
+        if unknowns is None:
+            unknowns = self.unknowns(switches)
         return follow(
             self.law,
-            self.learned if learned is None else learned,
-            late_s,
+            unknowns[:PARAMETERS],
+            unknowns[PARAMETERS:],
             supply_pa,
             self.start,
             switches,
@@ -156,9 +231,15 @@ class TrackedSleeve:
             **asked,  # type: ignore[arg-type]
         )
 
+    def unknowns(self, switches: list[Switch]) -> Vector:
+        """What is learned, then the chance of each of these switches, as expected."""
+        return np.array([*self.learned, *map(self.late_of, switches)])
+
     def at(self, time_us: int, supply_pa: float) -> Way:
         """The state then."""
         return self.ahead(supply_pa, ending=TO_TIME, until_us=time_us)
+
+    # ---- what is measured
 
     def take(self, track: SleeveTrack, supply_pa: float) -> None:
         """The newest samples."""
@@ -168,73 +249,240 @@ class TrackedSleeve:
         if count <= 0:
             return
         self.newest_us = track.newest_us
-        fresh = range(count - 1, -1, -1)
-        moves = self._moves_us()
-        if moves is None or track.newest_us < moves:
-            self._rest(track)
+        moves_us = self._moves_us()
+        if moves_us is None or track.newest_us < moves_us:
+            self._rest(track, supply_pa)
             return
-        for k in fresh:
+        self._rests = False
+        for k in range(count - 1, -1, -1):
             self.movement.times_us.append(track.newest_us - k * SAMPLE_US)
             self.movement.readings_m.append(track.samples_m[k])
-        self._correct(track, supply_pa)
+        if self.is_free:
+            self._follow(track, supply_pa)
+        else:
+            self._go_on(track, supply_pa)
         if self._is_over(track):
-            self._settle(track)
+            self._settle(track, supply_pa)
 
     def _moves_us(self) -> float | None:
-        """When the first switch's spool may move."""
-        if not self.start.is_rest:
+        """The earliest at which a sleeve at rest may begin to move; None while nothing moves it."""
+        if not self._rests:
             return self.start.time_us
         if not self.switches:
             return None
         first = self.switches[0]
-        k = (ON if first.on else OFF) + first.valve
-        return first.time_us + (self.learned[k] - 3.0 * self.sd_of(first)) * 1e6
+        return self.spool_us(first) - 3.0 * self.sd_of(first) * SECOND_US
 
-    def _rest(self, track: SleeveTrack) -> None:
-        """It rests: where, by ten samples."""
-        newest = track.samples_m[:10]
+    def _rest(self, track: SleeveTrack, supply_pa: float) -> None:
+        """It rests: where, by its newest samples; its chambers may vent for some time yet."""
+        newest = track.samples_m[:REST_SAMPLES]
         self.rest_m = sum(newest) / len(newest)
         state = self.law.at_rest(self.place_of(self.rest_m))
-        self.start = Start(track.newest_us, state, True)
+        if not self.start.is_rest:
+            pressures = self.at(track.newest_us, supply_pa).state[2:4]
+            self.learned = self._known.mean
+            if max(pressures) > self.law.atmosphere_pa + VENTED_PA:
+                state[2:4] = pressures
+        is_vented = bool(max(state[2:4]) == self.law.atmosphere_pa)
+        self.start = Start(track.newest_us, state, is_vented)
         self.movement = Movement()
-        self.is_free = True
+        self._rests = self.is_free = True
 
     def _is_over(self, track: SleeveTrack) -> bool:
-        last_us = max((one.time_us for one in self.switches), default=self.start.time_us)
+        last_us = max((one.time_us for one in self.switches), default=self._switched_us)
         driven = any(self.driven(valve, track.newest_us) for valve in (0, 1))
-        newest = track.samples_m[:10]
+        newest = track.samples_m[:REST_SAMPLES]
         still = max(newest) - min(newest) < STILL_M
-        return not driven and still and track.newest_us - last_us > VENTED_US
+        return not driven and still and track.newest_us - last_us > STANDS_US
 
-    def _settle(self, track: SleeveTrack) -> None:
-        """The movement is over."""
-        self._drop(lambda one: one.time_us <= track.newest_us)
-        self._rest(track)
-
-    def _correct(self, track: SleeveTrack, supply_pa: float) -> None:
-        """Goes on from what is measured where the law has lost it."""
+    def _settle(self, track: SleeveTrack, supply_pa: float) -> None:
+        """The movement is over: what it showed is known from now on."""
+        if self.is_free:
+            self._learn()
+        self._keep(lambda one: one.time_us > track.newest_us)
         place_m = self.place_of(track.samples_m[0])
-        expected = self.at(track.newest_us, supply_pa)
-        touches = abs(place_m) > self.law.face_m - SHORT_M
-        if not touches and abs(expected.m - place_m) < LOST_M:
-            return
+        if abs(place_m) > self.law.stroke_m - 1e-3:
+            self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
+        self._rest(track, supply_pa)
+
+    def _follow(self, track: SleeveTrack, supply_pa: float) -> None:
+        """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
+        seen = self.movement
+        touched = self._touched()
+        count = min(len(seen.times_us) if touched is None else touched, MOST_SAMPLES)
+        moved = any(abs(m - self.rest_m) > STARTED_M for m in seen.readings_m[:count])
+        overdue = self.spool_us(self.switches[0]) + 3.0 * SECOND_US * self.sd_of(self.switches[0])
+        left_m = 0.0
+        if count >= LEAST_SAMPLES and (moved or track.newest_us > overdue):
+            iterations = LAST_FIT if touched is not None else FIRST_FIT
+            left_m = self._fit(count, iterations, supply_pa)
+        if touched is not None:
+            self._meet(touched, supply_pa)
+        elif (
+            abs(left_m) > LOST_M
+            or abs(self.at(track.newest_us, supply_pa).m - self.place_of(track.samples_m[0]))
+            > 3.0 * LOST_M
+        ):
+            self._forget_movement()
+            self._go_on(track, supply_pa)
+
+    def _touched(self) -> int | None:
+        """The first sample at which a tooth may hold the sleeve; None where it is clear of them."""
+        limit_m, from_m = self.law.face_m - SHORT_M, self.start.state[0]
+        for k, reading in enumerate(self.movement.readings_m):
+            place_m = self.place_of(reading)
+            if abs(place_m) > limit_m and not (abs(from_m) > limit_m and place_m * from_m > 0.0):
+                return k
+        return None
+
+    def _fit(self, count: int, iterations: int, supply_pa: float) -> float:
+        """Returns how far the newest sample is from what was fitted (m)."""
+        times = np.array(self.movement.times_us[:count])
+        first_us = int(times[0])
+        at = (times - first_us) // SAMPLE_US
+        seen = np.empty(int(at[-1]) + 1)
+        rest_m = self.rest_m
+
+        def readings(unknowns: Vector) -> Vector:
+            state = self.start.state.copy()
+            state[0] = _place_m(unknowns, rest_m)
+            start = self.start._replace(state=state)
+            follow(
+                self.law, unknowns[:PARAMETERS], unknowns[PARAMETERS:], supply_pa, start,
+                self.switches, ending=TO_TIME, until_us=float(times[-1]) + 1.0,
+                seen=seen, first_us=first_us,
+            )  # fmt: skip
+            return _reading_m(unknowns, seen[at])
+
+        n = len(self.switches)
+        prior = np.array([*self._known.mean, *([0.0] * n)])
+        covariance = np.zeros((PARAMETERS + n, PARAMETERS + n))
+        covariance[:PARAMETERS, :PARAMETERS] = self._known.covariance
+        for k, one in enumerate(self.switches):
+            covariance[PARAMETERS + k, PARAMETERS + k] = self.switch_sd_s[one.valve] ** 2
+        begin = np.array([*self.learned, *self.late_s])
+        measured = np.array(self.movement.readings_m[:count])
+        fitted = fit(readings, measured, prior, covariance, begin, iterations)
+        self.learned, self.late_s = fitted.mean[:PARAMETERS], fitted.mean[PARAMETERS:]
+        self.joint, self._left_m = fitted.covariance, fitted.left_m
+        self.version += 1
+        return float(fitted.left_m[-1])
+
+    @property
+    def _is_explained(self) -> bool:
+        """Whether the law explains the movement."""
+        left = self._left_m
+        return len(left) >= LEAST_SAMPLES and float(np.mean(left**2)) < UNEXPLAINED_M**2
+
+    def _learn(self) -> None:
+        """What the movement showed is known from now on, if the law explains it."""
+        if self._is_explained:
+            mean, covariance = self.learned.copy(), self.joint[:PARAMETERS, :PARAMETERS]
+            faded = (1.0 - FADES) * covariance + FADES * self._sheet.covariance
+            faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
+            faded[LEFT, LEFT] = LEFT_SD**2
+            self._known = Prior(mean, faded)
+        else:
+            self._forget_movement()
+        self._left_m = np.zeros(0)
+
+    def _forget_movement(self) -> None:
+        n = len(self.switches)
+        self.learned, self.late_s = self._known.mean, np.zeros(n)
+        self.joint = np.zeros((PARAMETERS + n, PARAMETERS + n))
+        self.joint[:PARAMETERS, :PARAMETERS] = self._known.covariance
+        for k, one in enumerate(self.switches):
+            self.joint[PARAMETERS + k, PARAMETERS + k] = self.switch_sd_s[one.valve] ** 2
+        self.version += 1
+
+    def _meet(self, touched: int, supply_pa: float) -> None:
+        """It comes to a gear's teeth."""
+        direction = 1 if self.place_of(self.movement.readings_m[touched]) > 0.0 else -1
+        fitted = self._way_in(direction, supply_pa)
+        measured_us = self._crossed_us(touched, direction, fitted)
+        valve = 0 if direction > 0 else 1
+        fires = [one for one in self.switches if one.on and one.valve == valve]
+        found = self.learned, self.late_s, self.joint
+        self._forget_movement()
+        expected = self._way_in(direction, supply_pa)
+        if fires and measured_us is not None and expected.crossed_us is not None:
+            chance = self.unknowns(self.switches)
+            chance[PARAMETERS:] = 0.0
+            if self._is_explained:
+                chance[:PARAMETERS] = found[0]
+            explained = self._way_in(direction, supply_pa, chance).crossed_us
+            self.contact = Contact(
+                direction,
+                fires[-1].time_us,
+                float(self.start.state[0]),
+                measured_us,
+                expected.crossed_us,
+                expected.crossed_us if explained is None else explained,
+                fitted.crossed_us if self._is_explained else None,
+            )
+        self.learned, self.late_s, self.joint = found
+        readings = self.movement.readings_m
+        newest = tuple(reversed(readings[-REST_SAMPLES:]))
+        self._go_on(SleeveTrack(self.movement.times_us[-1], newest), supply_pa)
+        self._learn()
+
+    def _way_in(self, direction: int, supply_pa: float, unknowns: Vector | None = None) -> Way:
+        return self.ahead(
+            supply_pa,
+            unknowns=unknowns,
+            ending=TO_LEVEL,
+            until_us=self.movement.times_us[-1] + 100_000,
+            level_m=direction * self.law.face_m,
+            direction=float(direction),
+        )
+
+    def _crossed_us(self, touched: int, direction: int, way: Way) -> float | None:
+        """The contact by the samples: where the sleeve comes near the teeth, then at the law's
+        speed."""
+        seen = self.movement
+        if touched == 0:
+            return None
+        level_m = self.law.face_m - SHORT_M
+        after = direction * self.place_of(seen.readings_m[touched])
+        before = direction * self.place_of(seen.readings_m[touched - 1])
+        back = (after - level_m) / max(after - before, 1e-9)
+        speed = way.speed_m_s if way.crossed_us is not None else (after - before) * 1e3
+        return seen.times_us[touched] - back * SAMPLE_US + SHORT_M / max(speed, 0.02) * SECOND_US
+
+    def _go_on(self, track: SleeveTrack, supply_pa: float) -> None:
+        """Goes on from what is measured: teeth, or something else, hold or move the sleeve."""
         self.is_free = False
-        state = expected.state.copy()
-        few = track.samples_m[: min(4, len(track.samples_m))]
-        speed = (few[0] - few[-1]) / ((len(few) - 1) * SAMPLE_US * 1e-6)
-        state[0] = max(-self.law.stroke_m, min(self.law.stroke_m, place_m))
-        state[1] = speed if abs(speed) > 0.03 else 0.0
         at_us = track.newest_us
-        for valve in (0, 1):
-            state[4 + valve] = float(self._spool(valve, at_us))
+        state = self.at(at_us, supply_pa).state.copy()
+        self.learned = self.learned.copy()
+        self.learned[LEFT] = 0.0
+        few = track.samples_m[:4]
+        span_s = max(len(few) - 1, 1) * SAMPLE_US * US
+        speed_m_s = (few[0] - few[-1]) / span_s
+        most_m = self.law.stroke_m
+        state[0] = max(-most_m, min(most_m, self.place_of(track.samples_m[0])))
+        state[1] = speed_m_s if abs(speed_m_s) > 0.03 else 0.0
         self.start = Start(at_us, state, False)
-        self._drop(lambda one: self._spool_us(one) <= at_us)
+        self._switched_us = max((one.time_us for one in self.switches), default=self._switched_us)
+        self._keep(lambda one: self.spool_us(one) > at_us)
 
-    def _spool_us(self, switch: Switch) -> float:
-        k = (ON if switch.on else OFF) + switch.valve
-        late_s = dict(zip(self.switches, self.late_s.tolist(), strict=True)).get(switch, 0.0)
-        return switch.time_us + (self.learned[k] + late_s) * 1e6
+    def _see_stop(self, reading_m: float, direction: int) -> None:
+        """It stands at its stop in a gear: what the sensor shows there."""
+        mean, covariance = self._known.mean.copy(), self._known.covariance
+        shown = _reading_m(mean, np.array([direction * self.law.stroke_m]))[0]
+        slope = np.zeros(PARAMETERS)
+        slope[OFFSET], slope[GAIN] = OFFSET_UNIT_M, direction * self.law.stroke_m
+        spread = covariance @ slope
+        gain = spread / (float(slope @ spread) + STOP_SD_M**2)
+        self.known = Prior(
+            mean + gain * (reading_m - shown), covariance - np.outer(gain, slope @ covariance)
+        )
 
-    def _spool(self, valve: int, time_us: float) -> bool:
-        moved = [o.on for o in self.switches if o.valve == valve and self._spool_us(o) <= time_us]
-        return moved[-1] if moved else bool(self.start.state[4 + valve])
+
+def _place_m(learned: Vector, reading_m: float) -> float:
+    offset_m = learned[OFFSET] * OFFSET_UNIT_M
+    return float((reading_m - offset_m) * math.exp(-learned[GAIN]))
+
+
+def _reading_m(learned: Vector, place_m: Vector) -> Vector:
+    return place_m * math.exp(learned[GAIN]) + learned[OFFSET] * OFFSET_UNIT_M

@@ -60,7 +60,7 @@ def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_the
     assert 0.0 < side.direction * stands.m < SHEET.sleeve.to_contact_m
     refire_us = halt.off_us + 100_000
     again = sleeves.stroke(gear, refire_us)
-    assert again.contact_us - refire_us < 1e6 * SHEET.sleeve.delay_s - 5_000
+    assert again.contact_us - refire_us < 1e6 * SHEET.sleeve.delay_s
     home = sleeves.to_neutral(side.sleeve, refire_us)
     assert home is not None and home.valve is OPPOSITE[gear]
     assert abs(home.m) < 2e-4 < side.direction * stands.m

@@ -1,0 +1,92 @@
+"""What the samples of a movement say: an iterated extended Kalman filter over a whole movement.
+
+Unknown are what is learned of the sleeve (`law.PARAMETERS`), and how late each switch's spool is
+beyond its valve's learned delay. Both have a prior; the law gives the places in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.records import Vector
+from meshpoint.controller.sleeve.law import DETENT, FEED, OFFSET, PARAMETERS
+
+SAMPLE_SD_M: Final = 8e-5
+"""Of a sample from the law: its noise, and what a law leaves out."""
+INDEPENDENT: Final = 40
+"""More samples than these weigh no more: what the law leaves out lasts longer than a sample."""
+LARGEST_STEP_SDS: Final = 4.0
+"""The law bends too much for a longer step."""
+HALVINGS: Final = 4
+
+Places = Callable[[Vector], Vector]
+
+
+class Fitted(NamedTuple):
+    """Unknowns (PARAMETERS + switches,) with covariance, and what is left of the samples (m)."""
+
+    mean: Vector
+    covariance: Vector
+    left_m: Vector
+
+
+def probes(count: int) -> Vector:
+    """Steps for the slopes: of delays (s), logarithms, detent (kN), offset (mm)."""
+    steps = np.full(count, 0.02)
+    steps[:FEED] = 2e-4
+    steps[DETENT], steps[OFFSET] = 0.01, 0.05
+    steps[PARAMETERS:] = 2e-4
+    return steps
+
+
+def slopes(of: Callable[[Vector], Vector], at: Vector, base: Vector) -> Vector:
+    """How what `of` gives changes with each unknown: one column each."""
+    steps = probes(len(at))
+    rows = np.empty((len(at), *np.shape(base)))
+    for k, step in enumerate(steps):
+        probe = at.copy()
+        probe[k] += step
+        rows[k] = (of(probe) - base) / step
+    return rows.T
+
+
+def fit(
+    places: Places,
+    seen_m: Vector,
+    prior: Vector,
+    covariance: Vector,
+    begin: Vector,
+    iterations: int,
+) -> Fitted:
+    """The most likely unknowns, from `begin` on. places: the readings (m) that unknowns give."""
+    noise = SAMPLE_SD_M**2 * max(1.0, len(seen_m) / INDEPENDENT)
+    inverse = np.linalg.inv(covariance)
+
+    def cost(z: Vector, left: Vector) -> float:
+        return float(left @ left) / noise + float((z - prior) @ inverse @ (z - prior))
+
+    z, left = begin, seen_m - places(begin)
+    now = cost(z, left)
+    posterior = covariance
+    for _ in range(iterations):
+        slope = slopes(places, z, seen_m - left)
+        information = inverse + slope.T @ slope / noise
+        posterior = np.linalg.inv(information)
+        step = posterior @ (slope.T @ left / noise - inverse @ (z - prior))
+        step /= max(
+            1.0, float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)))) / LARGEST_STEP_SDS
+        )
+        for _ in range(HALVINGS):
+            tried = z + step
+            rest = seen_m - places(tried)
+            then = cost(tried, rest)
+            if then < now:
+                z, left, now = tried, rest, then
+                break
+            step = 0.5 * step
+        else:
+            break
+    return Fitted(z, posterior, left)
