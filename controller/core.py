@@ -180,7 +180,7 @@ class ControllerCore:
         self._settings, self._speeds = follower.header.settings, follower.speeds
         self._observer = follower.observer
         sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.brake, sequence.delays = follower.brake, follower.delays
+        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
         if not keeps_drifts:
             sequence.drifts = follower.drifts
         sequence.change_settings(self._settings)
@@ -231,7 +231,9 @@ class ControllerCore:
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
         take = self._timing.take if self._is_tick(now_us) else self._timing.between
         take(inputs, snapshot.now_us)
+        self._sequence.see_sleeves(snapshot)
         self._decide(inputs.requested_gear, snapshot, events)
+        self._board.say_to(self._sequence.sleeves, snapshot.now_us)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)
         frames += self._reporter.frames(self._transmitter, snapshot)

@@ -11,7 +11,6 @@ from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
-from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
@@ -20,11 +19,12 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
-from meshpoint.units import SECOND_US
+from meshpoint.units import SECOND_US, US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -61,7 +61,7 @@ class ShiftContext:
         self.brake = brake
         self.references = references
         self.strategist = Strategist(sheet, settings)
-        self.delays = SleeveDelays(sheet)
+        self.sleeves = Sleeves(sheet)
         self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
@@ -153,6 +153,12 @@ class ShiftContext:
         share = self.sheet.clutch.surely_open_share - SENSED_SHARE
         return snapshot.view.clutch.falls_to_us(max(0.0, share))
 
+    def see_sleeves(self, snapshot: StepSnapshot) -> None:
+        """Takes the sleeves' newest positions and the supply that moves them."""
+        if math.isfinite(snapshot.supply_pa):
+            self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
+        self.sleeves.take(snapshot.view, snapshot.now_us)
+
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """Commands the brake valve at a sensor time (us), and enters the switch in the filter's
         input."""
@@ -197,12 +203,11 @@ class ShiftContext:
         """A predictor for a gear; None while a speed is missing or the layshaft is not free."""
         if snapshot.main is None or not snapshot.layshaft.free:
             return None
-        if math.isfinite(snapshot.supply_pa):
-            self.delays.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         layshaft = snapshot.layshaft.latest()
         ahead_us = layshaft.time_us - snapshot.now_us
         if not layshaft.is_finite or ahead_us > ESTIMATE_STALE_US:
             return None
+        stroke = self.sleeves.from_rest(gear)
         predictor = GearPredictor(
             gear,
             self.sheet.main_mesh(gear).ratio,
@@ -211,8 +216,8 @@ class ShiftContext:
             self.brake,
             snapshot.layshaft.model,
             self.references,
-            self.delays.delay_us(gear),
-            self.delays.delay_sd_s(gear),
+            stroke.contact_us,
+            stroke.sd_us * US,
             self.drifts.rad_s(gear),
             self.drifts.spread_share(gear),
         )

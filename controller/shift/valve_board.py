@@ -11,7 +11,8 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.settings import ValveTiming
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 Driven = tuple[bool, ...]
@@ -88,6 +89,12 @@ class ValveBoard:
     def command(self, valve: ValveName) -> SwitchCommand:
         """The command as it stands."""
         return self._commands[valve]
+
+    def say_to(self, sleeves: Sleeves, now_us: int) -> None:
+        """What is commanded of the main sleeves' valves; what goes off at once goes off now."""
+        for valve in SLEEVE_VALVE.values():
+            command = self._commands[valve]
+            sleeves.commanded(valve, command.on, now_us if command is OFF else command.time_us)
 
     def next_switch_us(self, now_us: int) -> int | None:
         """The next sensor time at which hardware that cannot schedule needs a frame; else None."""
