@@ -180,7 +180,7 @@ class ControllerCore:
         self._settings, self._speeds = follower.header.settings, follower.speeds
         self._observer = follower.observer
         sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.brake, sequence.delays = follower.brake, follower.delays
+        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
         if not keeps_drifts:
             sequence.drifts = follower.drifts
         sequence.change_settings(self._settings)

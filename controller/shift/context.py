@@ -12,7 +12,6 @@ from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
-from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
@@ -65,7 +64,6 @@ class ShiftContext:
         self.brake = brake
         self.references = references
         self.strategist = Strategist(sheet, settings)
-        self.delays = SleeveDelays(sheet)
         self.sleeves = Sleeves(sheet)
         self._told: dict[ValveName, SwitchCommand] = {}
         """The commands that the sleeves have been told of."""
@@ -246,8 +244,11 @@ class ShiftContext:
             self.drifts.spread_share(gear),
             0,
         )
-        stroke = self.sleeves.stroke(gear, snapshot.earliest_us)
-        predictor = self.with_stroke(predictor, stroke, snapshot.earliest_us)
+        if self.state is State.HALTED:  # it may still move
+            stroke, fire_us = self.sleeves.stroke(gear, snapshot.earliest_us), snapshot.earliest_us
+        else:
+            stroke, fire_us = self.sleeves.from_rest(gear), 0
+        predictor = self.with_stroke(predictor, stroke, fire_us)
         return predictor if self.predictor_source is None else self.predictor_source(predictor)
 
     def with_stroke(self, predictor: GearPredictor, stroke: Stroke, fire_us: int) -> GearPredictor:

@@ -76,8 +76,6 @@ def _measure_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
     if crossing is None:
         return
     shift.measured_contact_us = round(crossing)
-    if shift.plan is not None:
-        context.delays.learn(shift.target.main, shift.measured_contact_us - shift.plan.fire_us)
     fired, free = context.firing_predictor, context.free_predictor
     if shift.aimed and fired is not None and free is not None:
         context.drifts.learn(fired, free, crossing)

@@ -70,11 +70,11 @@ def fit(
 
     z, left = begin, seen_m - places(begin)
     now = cost(z, left)
-    posterior = covariance
+    posterior: Vector = covariance
     for _ in range(iterations):
         slope = slopes(places, z, seen_m - left)
         information = inverse + slope.T @ slope / noise
-        posterior = np.linalg.inv(information)
+        posterior = np.asarray(np.linalg.inv(information), dtype=np.float64)
         step = posterior @ (slope.T @ left / noise - inverse @ (z - prior))
         step /= max(
             1.0, float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)))) / LARGEST_STEP_SDS

@@ -8,6 +8,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.calibration.learned import (
+    SleeveLawRecord,
+    SleeveLawRecords,
+    SleeveRecord,
+    SleeveRecords,
+)
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
@@ -15,6 +21,7 @@ from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_REST, TO_TURN
 from meshpoint.controller.sleeve.fit import slopes
 from meshpoint.controller.sleeve.law import SleeveLaw
+from meshpoint.controller.sleeve.law_record import known_from, law_record
 from meshpoint.controller.sleeve.motion import Switch, Way
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
@@ -24,6 +31,9 @@ from meshpoint.units import SECOND_US, US
 
 LONGEST_US: Final = 500_000
 """No sleeve takes longer to its gear."""
+PLACE_STEP_M: Final = 1e-5
+SUPPLY_STEP_PA: Final = 1e3
+"""A stroke from rest is worked out anew for another place or supply pressure of this size."""
 STOPS_US: Final = 40_000
 """A sleeve that is stopped in flight stands within this time, or is not stopped."""
 RESTS_US: Final = 400_000
@@ -71,6 +81,7 @@ class Sleeves:
         self._law = SleeveLaw(sheet)
         prior = self._law.prior(sheet)
         self._sheet_pa = sheet.air.supply_gauge_pa
+        self._least_s = sheet.sleeve.valve_delay_s
         self.supply_pa = self._sheet_pa
         """Present supply pressure, gauge."""
         self._now_us = 0
@@ -81,6 +92,7 @@ class Sleeves:
         self._neutral_sd_s = {gear: self._law_sd_s(gear) for gear in MAIN_GEARS}
         """Deviation of the contact from neutral by what is known of the law, no chance in it."""
         self._contacts: dict[Sleeve, Contact | None] = dict.fromkeys(MAIN_SLEEVES)
+        self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
@@ -123,6 +135,7 @@ class Sleeves:
             self._tell_scatter()
 
     def _tell_scatter(self) -> None:
+        self._from_rest.clear()
         for gear, side in _SIDES.items():
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
 
@@ -165,6 +178,26 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve].at_rest(0.0)
         return self._stroke(gear, tracked, [Switch(0, side.valve, True)])
+
+    def from_rest(self, gear: MainGear) -> Stroke:
+        """The same from where the sleeve stands, or stood before it moved; from neutral, where that
+        is in a gear."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        rest_m = tracked.place_of(tracked.rest_m)
+        if abs(rest_m) >= self._law.face_m:
+            rest_m = 0.0
+        key = (
+            tracked.version,
+            round(rest_m / PLACE_STEP_M),
+            round(self._supply_pa / SUPPLY_STEP_PA),
+        )
+        known = self._from_rest.get(gear)
+        if known is None or known[0] != key:
+            switches = [Switch(0, side.valve, True)]
+            known = key, self._stroke(gear, tracked.at_rest(rest_m), switches)
+            self._from_rest[gear] = known
+        return known[1]
 
     def _stroke(self, gear: MainGear, tracked: TrackedSleeve, switches: list[Switch]) -> Stroke:
         side, chance = _SIDES[gear], self._chances[gear]
@@ -250,6 +283,47 @@ class Sleeves:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
         side = _SIDES[gear]
         return self._pulse(self._sleeves[side.sleeve], side.sleeve, on_us, -side.direction)
+
+    def records(self) -> SleeveRecords:
+        """What a calibration file keeps of the gears whose contacts have been seen."""
+        supply_pa, self.supply_pa = self.supply_pa, self._sheet_pa
+        gears = {
+            gear.name.lower(): SleeveRecord(
+                delay_s=max(self.from_neutral(gear).contact_us * US, self._least_s),
+                samples=chance.weight,
+                scatter_s=chance.scatter_s,
+                scatter_samples=chance.freedom,
+            )
+            for gear, chance in self._chances.items()
+            if chance.samples > 0
+        }
+        self.supply_pa = supply_pa
+        return SleeveRecords(**gears)
+
+    def laws(self) -> SleeveLawRecords:
+        """What it keeps of the sleeves whose law was learned."""
+        laws = {
+            sleeve.name.lower(): law_record(tracked.known, tracked.movements)
+            for sleeve, tracked in self._sleeves.items()
+            if tracked.movements > 0
+        }
+        return SleeveLawRecords(**laws)
+
+    def restore(self, records: SleeveRecords, laws: SleeveLawRecords) -> None:
+        """Goes on from records; what is without one stays as the data sheet says."""
+        for sleeve, tracked in self._sleeves.items():
+            law: SleeveLawRecord | None = getattr(laws, sleeve.name.lower())
+            if law is not None:
+                tracked.known, tracked.movements = known_from(law), law.movements
+        supply_pa, self.supply_pa = self.supply_pa, self._sheet_pa
+        for gear, chance in self._chances.items():
+            record = records.of(gear)
+            if record is not None:
+                bias_s = record.delay_s - self.from_neutral(gear).contact_us * US
+                chance.set(bias_s, record.samples, record.scatter_s, record.scatter_samples)
+                self._neutral_sd_s[gear] = self._law_sd_s(gear)
+        self.supply_pa = supply_pa
+        self._tell_scatter()
 
     def _pulse(self, tracked: TrackedSleeve, sleeve: Sleeve, on_us: int, direction: int) -> Pulse:
         valve = 0 if direction > 0 else 1

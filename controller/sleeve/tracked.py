@@ -40,10 +40,10 @@ LOST_M: Final = 8e-4
 """The law is this far from what is measured: something else holds or moves the sleeve."""
 UNEXPLAINED_M: Final = 2e-4
 """A movement whose samples are this far from the law, rms, is of something else."""
-MOST_SAMPLES: Final = 120
+MOST_SAMPLES: Final = 110
 FADES: Final = 0.002
 """From one movement to the next, this much of what is known fades to what the sheet says."""
-REST_SAMPLES: Final = 10
+REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 LEAST_SAMPLES: Final = 6
@@ -89,6 +89,8 @@ class TrackedSleeve:
         """By how much each switch's spool is later than its valve's learned delay."""
         self.joint: Vector = prior.covariance
         """Covariance of both."""
+        self.movements = 0
+        """From how many movements the law was learned."""
         self.version = 0
         """Changes when more was learned."""
         self.start = Start(0, law.at_rest(0.0), True)
@@ -194,7 +196,7 @@ class TrackedSleeve:
     def spool_us(self, switch: Switch) -> float:
         """When its spool moves, as expected."""
         k = (ON if switch.on else OFF) + switch.valve
-        return switch.time_us + (self.learned[k] + self.late_of(switch)) * SECOND_US
+        return switch.time_us + (float(self.learned[k]) + self.late_of(switch)) * SECOND_US
 
     def driven(self, valve: int, time_us: float) -> bool:
         """Whether a coil is on then, by the commands."""
@@ -382,6 +384,7 @@ class TrackedSleeve:
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
             faded[LEFT, LEFT] = LEFT_SD**2
             self._known = Prior(mean, faded)
+            self.movements += 1
         else:
             self._forget_movement()
         self._left_m = np.zeros(0)
@@ -485,4 +488,5 @@ def _place_m(learned: Vector, reading_m: float) -> float:
 
 
 def _reading_m(learned: Vector, place_m: Vector) -> Vector:
-    return place_m * math.exp(learned[GAIN]) + learned[OFFSET] * OFFSET_UNIT_M
+    reading_m: Vector = place_m * math.exp(learned[GAIN]) + learned[OFFSET] * OFFSET_UNIT_M
+    return reading_m

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.planning.sleeve_delay import FAR_S, PRESSURE_EXPONENT
+from meshpoint.controller.sleeve.contact_chance import FAR_S
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.testbench.identify.log_reader import Stroke
@@ -25,6 +25,8 @@ from meshpoint.units import US
 
 FROM, TO = 0.06, 0.9
 """Shares of the way to the teeth that are used: before, noise rules; after, the teeth."""
+PRESSURE_EXPONENT: Final = 0.5
+"""The travel goes with the supply pressure to the power of less this: near enough in one log."""
 LEAST_SAMPLES: Final = 8
 MOST_REST: Final = 0.05
 """RMS of the roots about the line; a sleeve that was held up on its way is no sample."""

@@ -265,8 +265,8 @@ class _Draw:
 
     def _landing(self, fire_us: int) -> _Landing:
         sequence, trajectory, gear = self.sequence, self._trajectory, self._parting.gear
-        delay_us = sequence.delays.delay_us(gear)
-        delay_us += sequence.delays.delay_sd_s(gear) / US * self._normal[DELAY]
+        stroke = sequence.sleeves.from_rest(gear)
+        delay_us = stroke.contact_us + stroke.sd_us * self._normal[DELAY]
         contact_us = fire_us + delay_us
         state, main = self._state(contact_us), trajectory.main(contact_us)
         theta_main = main.theta_at(contact_us)
@@ -331,7 +331,7 @@ def work_out(
     if isinstance(likeliest, str):
         return undecidable(likeliest)
     landings = []
-    freedom = parting.sequence.delays.scatter_samples(parting.gear)
+    freedom = parting.sequence.sleeves.from_rest(parting.gear).freedom
     for _ in range(draws):
         normal = rng.standard_normal(NORMALS)
         # The delay's scatter is known from few shifts: Student's law.
