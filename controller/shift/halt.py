@@ -19,7 +19,7 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.sleeve.answers import Halt
-from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
+from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
 STANDS_US: Final = 150 * MS_IN_US
@@ -60,6 +60,11 @@ def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
     shift.aborts += 1
     shift.plan = None
     context.board.off(SLEEVE_VALVE[gear])
+    if context.board.driven(ValveName.BRAKE, halt.at_us):
+        # A sleeve that is not stopped in time must not meet a gear that is being braked.
+        context.board.off(ValveName.BRAKE)
+        context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
+        shift.release_us = snapshot.now_us
     context.board.pulse(OPPOSITE[gear], halt.at_us, halt.off_us, snapshot.now_us)
     return Trigger.ABORTED
 
