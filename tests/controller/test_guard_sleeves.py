@@ -272,6 +272,30 @@ def test_where_a_sleeve_stood_is_kept_once_its_valve_may_have_moved_it() -> None
         assert early_us == pytest.approx(span.start_us + 1e3 * early_ms, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("second_mm", "ms", "forbidden"), [(0.0, 20.0, None), (0.0, 30.0, 3), (4.375, 20.0, 3)]
+)
+def test_the_last_sample_before_it_sets_off_says_where_it_stood(
+    second_mm: float, ms: float, forbidden: int | None
+) -> None:
+    """The valve, on at 4 ms, moves nothing before 11; from neutral the last call is from 29 ms on,
+    from 4.375 mm from 12.5 on. What is sampled later is on its way."""
+    guard = ready()
+    assert row(guard, at(0.0), {SECOND: (ON_AT, 4)}) is None
+    assert row(guard, at(10.0, second_mm), {SECOND: (ON_AT, 4)}) is None
+    unknown = at(ms, 4.6, late_ms=5.0)._replace(swings=(None, None))
+    assert row(guard, unknown, {SECOND: (ON_AT, 4)}) == forbidden
+
+
+def test_with_another_clock_a_sleeve_on_its_way_is_so_until_it_is_seen_to_stand() -> None:
+    guard = aborted()
+    assert row(guard, at(-50_000)._replace(clock_is_new=True)) is None
+    for ms in (-49_998, -49_996, -49_994):
+        assert row(guard, at(ms)) is None
+    assert row(guard, at(-49_992), {BRAKE: (ON_AT, -49_990)}) == 5
+    assert row(guard, at(-49_970), {BRAKE: (ON_AT, -49_968)}) is None
+
+
 # -- what else may move meanwhile ------------------------------------------------------------
 
 
