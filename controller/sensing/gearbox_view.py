@@ -10,8 +10,8 @@ from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
 
-VIEW_NEUTRAL_M: Final = 1.0e-3
-"""A sleeve within this of the middle is in neutral."""
+VIEW_NEUTRAL_M: Final = 1.5e-3
+"""A sleeve within this of the middle is in neutral, or its detent brings it there."""
 ENGAGED_SHORT_M: Final = 1.0e-3
 """A sleeve within this of its stroke is in mesh."""
 ENTERED_M: Final = 0.3e-3

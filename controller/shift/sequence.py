@@ -34,7 +34,7 @@ from meshpoint.controller.shift.table import (
     ShiftRecord,
     Trigger,
 )
-from meshpoint.controller.shift.to_neutral import bring_to_neutral
+from meshpoint.controller.shift.to_neutral import bring_to_neutral, has_left_neutral
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
@@ -93,7 +93,7 @@ class ShiftSequence(ShiftContext):
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
         elif self.state in NEUTRAL_WANTED and _shows_a_gear(snapshot.view):
             self._go(self._brought_in(snapshot), snapshot)
-        elif self.state in NEUTRAL_WANTED and snapshot.view.main_gear is None:
+        elif self.state in NEUTRAL_WANTED and has_left_neutral(snapshot):
             bring_to_neutral(self, snapshot)  # a sleeve has not come to rest where it was wanted
             return
         for _ in range(len(State)):

@@ -18,6 +18,11 @@ RESTS_US: Final = 60 * MS_IN_US
 """A sleeve whose valves are off comes to rest within this time."""
 
 
+def has_left_neutral(snapshot: StepSnapshot) -> bool:
+    """Whether a main sleeve is measured out of neutral."""
+    return any(not snapshot.view.in_neutral(sleeve) for sleeve in MAIN_SLEEVES)
+
+
 def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether both main sleeves come to rest in neutral as commanded, none driven any more."""
     if not context.main_valves_rest(snapshot.now_us):
