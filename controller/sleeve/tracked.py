@@ -40,6 +40,9 @@ LOST_M: Final = 8e-4
 """The law is this far from what is measured: something else holds or moves the sleeve."""
 UNEXPLAINED_M: Final = 2e-4
 """A movement whose samples are this far from the law, rms, is of something else."""
+LEAST_WAY_M: Final = 1e-3
+UNLIKELY_SDS: Final = 4.5
+"""A figure this far from the data sheet's is no figure of this sleeve."""
 MOST_SAMPLES: Final = 110
 FADES: Final = 0.002
 """From one movement to the next, this much of what is known fades to what the sheet says."""
@@ -313,9 +316,8 @@ class TrackedSleeve:
         touched = self._touched()
         count = min(len(seen.times_us) if touched is None else touched, MOST_SAMPLES)
         moved = any(abs(m - self.rest_m) > STARTED_M for m in seen.readings_m[:count])
-        overdue = self.spool_us(self.switches[0]) + 3.0 * SECOND_US * self.sd_of(self.switches[0])
         left_m = 0.0
-        if count >= LEAST_SAMPLES and (moved or track.newest_us > overdue):
+        if count >= LEAST_SAMPLES and moved:
             iterations = LAST_FIT if touched is not None else FIRST_FIT
             left_m = self._fit(count, iterations, supply_pa)
         if touched is not None:
@@ -372,9 +374,15 @@ class TrackedSleeve:
 
     @property
     def _is_explained(self) -> bool:
-        """Whether the law explains the movement."""
-        left = self._left_m
-        return len(left) >= LEAST_SAMPLES and float(np.mean(left**2)) < UNEXPLAINED_M**2
+        """Whether the law explains the movement by figures that the sheet makes likely. A sleeve
+        that hardly moved is held by something else."""
+        left, readings = self._left_m, self.movement.readings_m
+        if len(left) < LEAST_SAMPLES or float(np.mean(left**2)) > UNEXPLAINED_M**2:
+            return False
+        if max(abs(reading - self.rest_m) for reading in readings) < LEAST_WAY_M:
+            return False
+        off = (self.learned - self._sheet.mean) / np.sqrt(np.diag(self._sheet.covariance))
+        return bool(np.max(np.abs(off)) < UNLIKELY_SDS)
 
     def _learn(self) -> None:
         """What the movement showed is known from now on, if the law explains it."""

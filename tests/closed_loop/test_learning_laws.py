@@ -67,7 +67,7 @@ def test_the_brake_and_the_sleeve_are_learned_to_within_what_is_said_of_them(gai
 @pytest.mark.parametrize(
     ("state", "fault"),
     [
-        (ControllerState.COASTING, RigFault.SLEEVE_JAMMED),
+        (ControllerState.SYNCHRONISING, RigFault.SLEEVE_JAMMED),
         (ControllerState.SYNCHRONISING, RigFault.HALL_DROPOUT),
         (ControllerState.CLUTCH_OPENING, RigFault.CLUTCH_STUCK),
     ],

@@ -1,0 +1,87 @@
+"""Sleeves drawn otherwise than the data sheet says: what strokes and aborts teach of them.
+Simulated by an integrator of its own (drawn_sleeve.py), five ways to have the sheet's delay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drawn_sleeve import CYLINDERS, FACE, DrawnSleeve
+from sleeve_bench import GEAR, OTHER, VALVES, SleeveBench
+
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.gearbox import load_sheet
+
+SHEET = load_sheet("truck12")
+SEEDS = (1, 2)
+CHANCE_MS = 0.3
+"""Of a drawn valve, from switch to switch."""
+
+
+def learned(name: str, seed: int, strokes: int) -> tuple[SleeveBench, list[float]]:
+    """A sleeve after some strokes, and by how much each contact was off its prediction (ms)."""
+    bench = SleeveBench(SHEET, DrawnSleeve(CYLINDERS[name], seed, 1e-3 * CHANCE_MS))
+    errors = []
+    for _ in range(strokes):
+        predicted_us, true_us = bench.fire()
+        errors.append(1e-3 * (predicted_us - true_us))
+        bench.back()
+    return bench, errors
+
+
+def rms(values: list[float]) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_after_six_strokes_a_contact_is_known_but_for_the_valves_chance() -> None:
+    errors = [learned(name, seed, 7)[1] for name in CYLINDERS for seed in SEEDS]
+    assert rms([each[3] for each in errors]) < 2.0 * CHANCE_MS
+    assert rms([each[6] for each in errors]) < 1.5 * CHANCE_MS
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_a_learned_sleeve_is_stopped_short_of_the_teeth_and_goes_on_as_predicted(name: str) -> None:
+    bench, _ = learned(name, 1, 6)
+    fire_us = bench.now_us + 15_000
+    bench.sleeve.reached_us.clear()
+    bench.command(0, True, fire_us)
+    while bench.now_us + 2_000 < fire_us:
+        bench.step()
+    abort_us = bench.sleeves.last_abort_us(GEAR, fire_us)
+    assert abort_us is not None
+    while bench.now_us + 5_000 < abort_us:
+        bench.step()
+    halt = bench.sleeves.abort(GEAR, abort_us)
+    bench.command(0, False, abort_us)
+    bench.command(1, True, abort_us)
+    while bench.now_us + 2_000 < abort_us:
+        bench.step()
+    bench.command(1, False, halt.off_us)
+    bench.run(200_000)
+    assert FACE not in bench.sleeve.reached_us
+    assert abs(bench.sleeve.x - halt.m) < 3.0 * halt.sd_m
+    from_neutral_us = bench.sleeves.from_neutral(GEAR).contact_us
+    predicted_us, true_us = bench.fire()
+    assert true_us < from_neutral_us
+    assert abs(predicted_us - true_us) < 1_500.0
+
+
+def test_what_was_learned_is_kept_and_another_controller_goes_on_with_it() -> None:
+    bench, _ = learned("long pipe", 2, 3)
+    known, another = bench.sleeves, Sleeves(SHEET)
+    another.restore(known.records(), known.laws())
+    mine, other = known.from_neutral(GEAR), another.from_neutral(GEAR)
+    assert other.contact_us == pytest.approx(mine.contact_us, abs=30)
+    assert other.sd_us == pytest.approx(mine.sd_us, rel=0.02)
+    assert another.records().of(OTHER) is None
+
+
+def test_a_sleeve_that_is_held_fast_teaches_nothing() -> None:
+    bench, _ = learned("narrow valve", 1, 1)
+    known = bench.sleeves.records(), bench.sleeves.laws()
+    fire_us = bench.now_us + 15_000
+    bench.sleeves.commanded(VALVES[0], True, fire_us)
+    bench.run(200_000)
+    bench.sleeves.commanded(VALVES[0], False, bench.now_us + 5_000)
+    bench.run(400_000)
+    assert (bench.sleeves.records(), bench.sleeves.laws()) == known
