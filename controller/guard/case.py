@@ -362,9 +362,9 @@ class Case(NamedTuple):
             return False
         if abs(position) <= GUARD_NEUTRAL_M or self.stands_apart(sleeve):
             return True
-        pulled = any(
-            limits.main[valve].sleeve == sleeve for valve in self.pulling()
-        ) or any(map(self._still_pulls, limits.valves_of(sleeve)))
+        pulled = any(limits.main[valve].sleeve == sleeve for valve in self.pulling()) or any(
+            map(self._still_pulls, limits.valves_of(sleeve))
+        )
         speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]
         come_m = limits.stroke_m - abs(position)
         if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or speed > 0.0):

@@ -12,7 +12,6 @@ from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
-from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
@@ -20,7 +19,7 @@ from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
-from meshpoint.controller.shift.valve_board import FOREVER_US, OFF, SwitchCommand, ValveBoard
+from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.answers import Stroke
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
@@ -65,8 +64,6 @@ class ShiftContext:
         self.references = references
         self.strategist = Strategist(sheet, settings)
         self.sleeves = Sleeves(sheet)
-        self._told: dict[ValveName, SwitchCommand] = {}
-        """The commands that the sleeves have been told of."""
         self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
@@ -178,15 +175,7 @@ class ShiftContext:
 
     def tell_sleeves(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""
-        for valve in SLEEVE_VALVE.values():
-            command = self.board.command(valve)
-            if command == self._told.get(valve, OFF):
-                continue
-            self._told[valve] = command
-            switches = [(now_us + BUS_US if command is OFF else command.time_us, command.on)]
-            if command.until_us < FOREVER_US:
-                switches.append((command.until_us, False))
-            self.sleeves.expected(valve, switches)
+        self.board.say_to(self.sleeves, now_us)
 
     def all_off(self, now_us: int) -> None:
         """Switches all valves off now, and enters the brake's release in the filter's input."""

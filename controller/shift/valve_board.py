@@ -9,9 +9,11 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import Final, NamedTuple
 
+from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.settings import ValveTiming
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 Driven = tuple[bool, ...]
@@ -110,6 +112,16 @@ class ValveBoard:
     def command(self, valve: ValveName) -> SwitchCommand:
         """The command as it stands."""
         return self._commands[valve]
+
+    def say_to(self, sleeves: Sleeves, now_us: int) -> None:
+        """What is commanded of the main sleeves' valves; what goes off at once takes the bus's
+        time."""
+        for valve in SLEEVE_VALVE.values():
+            command = self._commands[valve]
+            switches = [(now_us + BUS_US if command is OFF else command.time_us, command.on)]
+            if command.until_us < FOREVER_US:
+                switches.append((command.until_us, False))
+            sleeves.expected(valve, switches)
 
     def next_switch_us(self, now_us: int) -> int | None:
         """The next sensor time at which hardware that cannot schedule needs a frame; else None."""

@@ -85,6 +85,7 @@ class Sleeves:
         self.supply_pa = self._sheet_pa
         """Present supply pressure, gauge."""
         self._now_us = 0
+        self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
         """By gear: for what it was worked out, and so long after a firing the last abort comes."""
         self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
@@ -103,9 +104,11 @@ class Sleeves:
             self._sleeves[side.sleeve].commanded(side.valve, on, time_us, self._now_us)
 
     def expected(self, valve: ValveName, switches: list[tuple[int, bool]]) -> None:
-        """A main valve's coil switches then (time, on), in this order, and not otherwise."""
+        """A main valve's coil switches then (time, on), in this order, and not otherwise. Said once
+        or in each step."""
         side = _OF_VALVE.get(valve)
-        if side is not None:
+        if side is not None and switches != self._expected.get(valve):
+            self._expected[valve] = switches
             self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
 
     def withdrawn(self, valve: ValveName, now_us: int) -> None:
