@@ -51,12 +51,12 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         return None if changes_range and not snapshot.view.main_rests else Trigger.MAIN_BOX_NEUTRAL
     if shift.pulls > context.settings.limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
-    if gear is None:
-        if context.late(snapshot, context.settings.limits.disengage_ms):
-            return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
-        bring_to_neutral(context, snapshot)
-    elif gear is not MainGear.NEUTRAL:
+    if gear is not None and gear is not MainGear.NEUTRAL:
         pull_out(context, snapshot, gear)
+    elif context.late(snapshot, context.settings.limits.disengage_ms):
+        return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
+    else:
+        bring_to_neutral(context, snapshot)
     brake_ahead(context, snapshot)
     return None
 

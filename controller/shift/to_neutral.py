@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
@@ -33,18 +34,17 @@ def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 
 def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Pulls the main sleeves that stand between neutral and a gear, or on its teeth, to neutral,
-    one after the other; whether that is still under way."""
-    if is_under_way(context, snapshot):
+    """Brings the main sleeves that do not come to rest in neutral by themselves there, one after
+    the other: pulls one that falls short, brakes one that flies past. Whether that is still under
+    way."""
+    if not context.main_valves_rest(snapshot.now_us):
         return True
     for sleeve in MAIN_SLEEVES:
-        if snapshot.view.in_neutral(sleeve):
-            continue
-        pulse = context.sleeves.to_neutral(sleeve, snapshot.earliest_us)
+        pulse = context.sleeves.to_neutral(sleeve, snapshot.now_us + BUS_US)
         if pulse is not None:
             context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
             return True
-    return False
+    return is_under_way(context, snapshot)
 
 
 def is_under_way(context: ShiftContext, snapshot: StepSnapshot) -> bool:
