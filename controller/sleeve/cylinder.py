@@ -56,6 +56,8 @@ class Law:
     dead_m3: float
     vent: float
     """Conductance of the way out over that of the way in."""
+    stop_m: float
+    """How far the sleeve gets to either side: its stroke, or a tooth that it rests on."""
     detent_n: float
 
 
@@ -216,8 +218,8 @@ def move(  # noqa: C901
                 way.crossed_m_s = direction * speed
                 way.crossed_n = direction * (p0 - p1) * area
             place += moved
-            if abs(place) >= stroke:
-                place = math.copysign(stroke, place)
+            if abs(place) >= law.stop_m:
+                place = math.copysign(law.stop_m, place)
                 speed = 0.0
                 if way.turned_s < 0.0:
                     way.turned_s = t

@@ -46,6 +46,7 @@ LONGEST_S: Final = 0.5
 _SUPPLY: Final = 5
 _FEED: Final = 6
 _FRICTION: Final = 8
+_STOP: Final = 12
 _DEAD: Final = 10
 
 
@@ -78,6 +79,7 @@ class SleeveLaw:
                 max(sleeve.damping_nsm, 1.0),
                 sleeve.dead_m3,
                 sleeve.vent_share,
+                sleeve.stroke_m,
                 0.0,
             ]
         )
@@ -86,9 +88,10 @@ class SleeveLaw:
         self._nominal = self._solved()
         self.sheet_pa = air.supply_gauge_pa
 
-    def flat(self, learned: Vector, supply_gauge_pa: float) -> Vector:
-        """The law's record (`cylinder.Law`) at a supply pressure."""
+    def flat(self, learned: Vector, supply_gauge_pa: float, stop_m: float) -> Vector:
+        """The law's record (`cylinder.Law`) at a supply pressure; a tooth may stop it short."""
         law = self._flat.copy()
+        law[_STOP] = min(law[_STOP], stop_m)
         law[_SUPPLY] = self.atmosphere_pa + supply_gauge_pa
         law[_FRICTION : _FRICTION + 4] *= np.exp(learned[FRICTION : VENT + 1])
         # A stroke's time goes with the rate at which a chamber fills: a larger chamber has a valve
@@ -144,8 +147,8 @@ class SleeveLaw:
             probe[k] = 0.05
             if k == FEED:
                 probe[FEED + 1] = 0.05
-            more = self._travel(self.flat(mean + probe, self._sheet_gauge))
-            less = self._travel(self.flat(mean - probe, self._sheet_gauge))
+            more = self._travel(self.flat(mean + probe, self._sheet_gauge, FOREVER))
+            less = self._travel(self.flat(mean - probe, self._sheet_gauge, FOREVER))
             slope[k] = (more - less) / 0.1
         return slope
 

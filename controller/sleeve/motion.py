@@ -36,6 +36,8 @@ class Start(NamedTuple):
     state: Vector
     is_rest: bool
     """It rests, both chambers vented: it stays so until a valve moves."""
+    stop_m: float = FOREVER
+    """A tooth lets it get no further from neutral."""
 
 
 class Way(NamedTuple):
@@ -84,7 +86,7 @@ def follow(
     x, way = start.state.copy(), np.zeros(WAY_WORDS)
     x[2:4] = law.atmosphere_pa + (x[2:4] - law.atmosphere_pa) * math.exp(learned[LEFT])
     move(
-        law.flat(learned, supply_pa),
+        law.flat(learned, supply_pa, start.stop_m),
         x,
         spools,
         len(switches),

@@ -48,7 +48,7 @@ SHORTEST_PULSE_US: Final = 9_000
 PULSE_STEP_US: Final = 500
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 250
-LONGEST_PULL_US: Final = 120_000
+LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_TIME
+from meshpoint.controller.sleeve.cylinder import FOREVER, TO_LEVEL, TO_TIME
 from meshpoint.controller.sleeve.fit import fit
 from meshpoint.controller.sleeve.law import (
     GAIN,
@@ -473,7 +473,12 @@ class TrackedSleeve:
         most_m = self.law.stroke_m
         state[0] = max(-most_m, min(most_m, self.place_of(track.samples_m[0])))
         state[1] = speed_m_s if abs(speed_m_s) > 0.03 else 0.0
-        self.start = Start(at_us, state, False)
+        newest = track.samples_m[:REST_SAMPLES]
+        is_on_tooth = (
+            abs(abs(state[0]) - self.law.face_m) < SHORT_M and max(newest) - min(newest) < STILL_M
+        )
+        stop_m = abs(float(state[0])) if is_on_tooth else FOREVER
+        self.start = Start(at_us, state, False, stop_m)
         self._switched_us = max((one.time_us for one in self.switches), default=self._switched_us)
         self._keep(lambda one: self.spool_us(one) > at_us)
 
