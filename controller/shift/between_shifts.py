@@ -83,4 +83,4 @@ def _free_sleeves(context: ShiftContext, snapshot: StepSnapshot) -> None:
     is_ready = snapshot.is_self_tested and context.armed and snapshot.view.clutch_parted
     if is_ready and snapshot.now_us - context.freed_us > FREE_AGAIN_US:
         context.freed_us = snapshot.now_us
-        bring_to_neutral(context, snapshot)
+        bring_to_neutral(context, snapshot, stands=True)

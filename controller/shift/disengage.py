@@ -56,7 +56,7 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     elif context.late(snapshot, context.settings.limits.disengage_ms):
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     else:
-        bring_to_neutral(context, snapshot)
+        bring_to_neutral(context, snapshot, stands=False)
     brake_ahead(context, snapshot)
     return None
 

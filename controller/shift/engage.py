@@ -110,12 +110,12 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     shift.plan = None
     # Not in the step that takes the valve off: the coil has to go off before it is fired again.
     if gear is MainGear.NEUTRAL and snapshot.now_us > context.since_us:
-        if bring_to_neutral(context, snapshot):
+        if bring_to_neutral(context, snapshot, stands=True):
             return None
         if shift.attempts >= context.settings.limits.attempts:
             return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
         return Trigger.RETRACTED
     if context.late(snapshot, context.settings.limits.disengage_ms):
         return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
-    bring_to_neutral(context, snapshot)
+    bring_to_neutral(context, snapshot, stands=True)
     return None

@@ -65,7 +65,8 @@ def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
         context.board.off(ValveName.BRAKE)
         context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
         shift.release_us = snapshot.now_us
-    context.board.pulse(OPPOSITE[gear], halt.at_us, halt.off_us, snapshot.now_us)
+    if halt.off_us > halt.at_us:
+        context.board.pulse(OPPOSITE[gear], halt.at_us, halt.off_us, snapshot.now_us)
     return Trigger.ABORTED
 
 

@@ -34,7 +34,7 @@ from meshpoint.controller.shift.table import (
     ShiftRecord,
     Trigger,
 )
-from meshpoint.controller.shift.to_neutral import bring_to_neutral, has_left_neutral
+from meshpoint.controller.shift.to_neutral import has_left_neutral
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
@@ -94,8 +94,7 @@ class ShiftSequence(ShiftContext):
         elif self.state in NEUTRAL_WANTED and _shows_a_gear(snapshot.view):
             self._go(self._brought_in(snapshot), snapshot)
         elif self.state in NEUTRAL_WANTED and has_left_neutral(snapshot):
-            bring_to_neutral(self, snapshot)  # a sleeve has not come to rest where it was wanted
-            return
+            self._go(self._out_of_neutral(snapshot), snapshot)
         for _ in range(len(State)):
             trigger = self._handle(snapshot)
             if trigger is None:
@@ -117,6 +116,13 @@ class ShiftSequence(ShiftContext):
             self.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
             return Trigger.ENGAGED
         return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
+
+    def _out_of_neutral(self, snapshot: StepSnapshot) -> Trigger:
+        """A sleeve has not come to rest in neutral: it is brought there, the brake let go."""
+        self.all_off(snapshot.now_us)
+        self.running.plan = self.running.release_us = None
+        self.running.pulls += 1
+        return Trigger.LEFT_NEUTRAL
 
     def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:
         if self.on_transition is not None:

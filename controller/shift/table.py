@@ -23,6 +23,8 @@ class Trigger(IntEnum):
     MAIN_BOX_STAYS = auto()
     """Only the splitter moves: the main box stays in its gear."""
     MAIN_BOX_NEUTRAL = auto()
+    LEFT_NEUTRAL = auto()
+    """A sleeve that was to rest in neutral does not."""
     STEPS_IN = auto()
     """Splitter and range are in the steps of the new gear and synchronised."""
     TOO_SLOW = auto()
@@ -102,6 +104,8 @@ STEPS_ARE_IN: Final = (_S.SYNCHRONISING, _S.SPEED_RAISING, _S.CLUTCH_PARTING, _S
 its sleeve is fired."""
 NEUTRAL_WANTED: Final = (_S.STEPS_CHANGING, *STEPS_ARE_IN)
 """A gear that is in mesh here was brought in by somebody else."""
+for _state in NEUTRAL_WANTED:
+    TRANSITIONS[_state, _T.LEFT_NEUTRAL] = _S.DISENGAGING
 for _state in STEPS_ARE_IN:
     TRANSITIONS[_state, _T.ENGAGED] = _S.CLUTCH_CLOSING
 

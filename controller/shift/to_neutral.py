@@ -13,8 +13,12 @@ from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.gearbox.gears import MAIN_SLEEVES
+from meshpoint.gearbox.gears import MAIN_SLEEVES, Sleeve
 
+CLEAR_M: Final = 1.0e-3
+"""A sleeve this far before a gear's teeth has none between them."""
+PRESSED_PA: Final = 0.8e5
+"""With more than this, gauge, the brake presses: the guard lets no gear be pulled out then."""
 RESTS_US: Final = 60 * MS_IN_US
 """A sleeve whose valves are off comes to rest within this time."""
 
@@ -33,23 +37,38 @@ def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return all(abs(place.m) < VIEW_NEUTRAL_M for place in places)
 
 
-def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: bool) -> bool:
     """Brings the main sleeves that do not come to rest in neutral by themselves there, one after
-    the other: pulls one that falls short, brakes one that flies past. Whether that is still under
-    way."""
-    if not context.main_valves_rest(snapshot.now_us):
+    the other. Whether that is still under way.
+
+    stands: only a sleeve that stands is moved, since the guard counts pulses in a row as one; else
+    one that falls short is pulled on at once, and one that flies past is braked."""
+    if not context.main_valves_rest(snapshot.now_us) or (stands and _moves(context, snapshot)):
         return True
     for sleeve in MAIN_SLEEVES:
+        if _may_be_in_mesh(context, snapshot, sleeve):
+            return True
         pulse = context.sleeves.to_neutral(sleeve, snapshot.now_us + BUS_US)
         if pulse is not None:
             context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
             return True
-    return is_under_way(context, snapshot)
+    return _moves(context, snapshot)
+
+
+def _may_be_in_mesh(context: ShiftContext, snapshot: StepSnapshot, sleeve: Sleeve) -> bool:
+    """Whether the sleeve is at a gear's teeth while the brake presses: it may not be pulled then."""
+    at_teeth = abs(snapshot.view.position_m(sleeve)) > context.sheet.sleeve.to_contact_m - CLEAR_M
+    return at_teeth and snapshot.view.brake_gauge_pa > PRESSED_PA
+
+
+def _moves(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether a main sleeve moves, or has stood for so short a time that it may."""
+    places = [context.sleeves.place(sleeve, snapshot.earliest_us) for sleeve in MAIN_SLEEVES]
+    return any(place.is_moving for place in places) or not snapshot.view.main_rests
 
 
 def is_under_way(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether a main valve is driven or will be, or a main sleeve still moves."""
     if not context.main_valves_rest(snapshot.now_us):
         return True
-    places = [context.sleeves.place(sleeve, snapshot.earliest_us) for sleeve in MAIN_SLEEVES]
-    return any(place.is_moving for place in places)
+    return _moves(context, snapshot)

@@ -253,11 +253,11 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         fired = [one for one in tracked.switches if one.time_us < at_us]
+        pulse_us = 0 if self._stops(tracked, side, fired, at_us, 0) else SHORTEST_PULSE_US
         longest = _aborted(fired, side, at_us, LONGEST_PULSE_US)
         best = self._stopped(tracked, side, longest).furthest_m
         short_m = side.direction * best + NEARLY_M
-        pulse_us = SHORTEST_PULSE_US
-        while pulse_us < LONGEST_PULSE_US:
+        while 0 < pulse_us < LONGEST_PULSE_US:
             way = self._stopped(tracked, side, _aborted(fired, side, at_us, pulse_us))
             if way.turned_us is not None and side.direction * way.furthest_m <= short_m:
                 break
@@ -266,7 +266,7 @@ class Sleeves:
         way = tracked.ahead(
             self._supply_pa, ending=TO_REST, until_us=at_us + RESTS_US, switches=switches
         )
-        sd_m = self._stop_sd_m(tracked, side, fired, at_us)
+        sd_m = self._stop_sd_m(tracked, side, fired, at_us, pulse_us)
         return Halt(at_us, at_us + pulse_us, way.m, sd_m)
 
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
@@ -448,11 +448,7 @@ class Sleeves:
         """By bisection: the later the abort, the further it gets."""
 
         def stops(at_us: int) -> bool:
-            way = self._stopped(tracked, side, _aborted(fired, side, at_us, LONGEST_PULSE_US))
-            short_m = self._law.face_m - side.direction * way.furthest_m
-            if short_m < LEAST_MARGIN_M:
-                return False
-            return short_m >= SURE * self._stop_sd_m(tracked, side, fired, at_us)
+            return self._stops(tracked, side, fired, at_us, LONGEST_PULSE_US)
 
         if not stops(earliest_us):
             return None
@@ -462,11 +458,21 @@ class Sleeves:
             early, late = (middle, late) if stops(middle) else (early, middle)
         return early
 
+    def _stops(
+        self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int, pulse_us: int
+    ) -> bool:
+        """Whether a sleeve that is aborted so stops short of the teeth by the margin."""
+        way = self._stopped(tracked, side, _aborted(fired, side, at_us, pulse_us))
+        short_m = self._law.face_m - side.direction * way.furthest_m
+        if short_m < LEAST_MARGIN_M:
+            return False
+        return short_m >= SURE * self._stop_sd_m(tracked, side, fired, at_us, pulse_us)
+
     def _stop_sd_m(
-        self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int
+        self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int, pulse_us: int
     ) -> float:
         """Deviation of the place to which an aborted sleeve gets."""
-        switches = _aborted(fired, side, at_us, LONGEST_PULSE_US)
+        switches = _aborted(fired, side, at_us, pulse_us)
 
         def furthest_m(unknowns: Vector) -> Vector:
             return np.array([self._stopped(tracked, side, switches, unknowns).furthest_m])
@@ -487,6 +493,8 @@ def _sd(
 def _aborted(fired: list[Switch], side: Side, at_us: int, pulse_us: int) -> list[Switch]:
     kept = [one for one in fired if one.time_us < at_us]
     other = 1 - side.valve
+    if pulse_us == 0:
+        return [*kept, Switch(at_us, side.valve, False)]
     return [
         *kept,
         Switch(at_us, side.valve, False),
