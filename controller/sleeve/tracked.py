@@ -473,10 +473,8 @@ class TrackedSleeve:
         most_m = self.law.stroke_m
         state[0] = max(-most_m, min(most_m, self.place_of(track.samples_m[0])))
         state[1] = speed_m_s if abs(speed_m_s) > 0.03 else 0.0
-        newest = track.samples_m[:REST_SAMPLES]
-        is_on_tooth = (
-            abs(abs(state[0]) - self.law.face_m) < SHORT_M and max(newest) - min(newest) < STILL_M
-        )
+        newest = [abs(self.place_of(reading)) for reading in track.samples_m[:REST_SAMPLES]]
+        is_on_tooth = all(abs(place_m - self.law.face_m) < SHORT_M for place_m in newest)
         stop_m = abs(float(state[0])) if is_on_tooth else FOREVER
         self.start = Start(at_us, state, False, stop_m)
         self._switched_us = max((one.time_us for one in self.switches), default=self._switched_us)
