@@ -105,7 +105,9 @@ def _entered_m(context: ShiftContext, snapshot: StepSnapshot) -> float:
 def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Brings the sleeve back to neutral; then the next attempt, if one is left."""
     shift, gear = context.running, snapshot.view.main_gear
-    context.board.off(SLEEVE_VALVE[shift.target.main])
+    if snapshot.now_us == context.since_us:
+        context.board.off(SLEEVE_VALVE[shift.target.main])
+        context.tell_sleeves(snapshot.now_us)
     context.clutch = ClutchAction.OPEN
     shift.plan = None
     # Not in the step that takes the valve off: the coil has to go off before it is fired again.
