@@ -367,7 +367,12 @@ class Case(NamedTuple):
         )
         speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]
         come_m = limits.stroke_m - abs(position)
-        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or speed > 0.0):
+        is_pushed = any(
+            self.spans[valve] is not None and self.way_m(valve) > 0.0
+            for valve in limits.valves_of(sleeve)
+        )
+        runs_out = speed > LEAVING_M_S and not is_pushed
+        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or runs_out):
             return True
         if not pulled:
             return False

@@ -37,7 +37,7 @@ def better_halted(
         return None
     gear, at_us = shift.target.main, snapshot.now_us + BUS_US
     last_us = context.sleeves.last_abort_us(gear, plan.fire_us)
-    # Until the last step in which it can be stopped, waiting costs nothing and tells more.
+    # Until the last step in which it can be stopped, waiting costs nothing and more is known.
     if last_us is None or not at_us <= last_us < at_us + context.tick_us:
         return None
     halt = context.sleeves.abort(gear, at_us)

@@ -118,7 +118,7 @@ class ShiftSequence(ShiftContext):
         return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _out_of_neutral(self, snapshot: StepSnapshot) -> Trigger:
-        """A sleeve has not come to rest in neutral: it is brought there, the brake let go."""
+        """A sleeve has not come to rest in neutral: it is brought there, the brake released."""
         self.all_off(snapshot.now_us)
         self.running.plan = self.running.release_us = None
         self.running.pulls += 1

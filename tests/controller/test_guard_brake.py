@@ -88,8 +88,11 @@ def test_row_5_a_gear_on_its_way_out_by_the_time_the_air_comes_in(
     assert guard.blocked_row == row
 
 
-def test_row_5_a_gear_that_no_valve_pulls_is_not_on_its_way_out() -> None:
-    assert blocked_row(leaving(4.4, 0.5), ValveName.BRAKE) == 5
+def test_row_5_a_gear_that_no_valve_pulls_is_out_only_where_it_is_measured_to_be() -> None:
+    """Its pulse is over, and it runs on: 4.4 mm is clear of the teeth, 4.6 mm is not yet."""
+    assert blocked_row(leaving(4.6, 0.5), ValveName.BRAKE) == 5
+    assert blocked_row(leaving(4.4, 0.5), ValveName.BRAKE) is None
+    assert blocked_row(leaving(4.4, 0.05), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_while_a_gear_is_being_engaged() -> None:
