@@ -275,7 +275,9 @@ class SleeveActuator:
     """By how much that may differ, from sleeve to sleeve and with oil and wear."""
     damping_nsm: float = quantity("damping_nsm", 0.0, 20000.0, default=1200.0)
     """Force against the motion a m/s of speed."""
-    damping_tolerance: float = quantity("damping_tolerance_percent", 0.1, 300.0, 0.01, default=0.7)
+    damping_tolerance: float = quantity(
+        "damping_tolerance_percent", 0.1, 300.0, 0.01, default=70.0 * 0.01
+    )
     """By how much that may differ."""
     dead_m3: float = quantity("dead_cm3", 0.1, 2000.0, CM3, default=15.0 * CM3)
     """Volume of a chamber and its pipe with the piston at its near end."""
