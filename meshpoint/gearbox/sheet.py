@@ -275,8 +275,10 @@ class SleeveActuator:
     """By how much that may differ, from sleeve to sleeve and with oil and wear."""
     damping_nsm: float = quantity("damping_nsm", 0.0, 20000.0, default=1200.0)
     """Force against the motion a m/s of speed."""
-    damping_tolerance: float = quantity("damping_tolerance_percent", 0.1, 300.0, 0.01, default=0.75)
-    """By how much that may differ."""
+    damping_tolerance: float = quantity(
+        "damping_tolerance_percent", 0.1, 300.0, 0.01, default=70.0 * 0.01
+    )
+    """By how much the damping may differ, from sleeve to sleeve and with the oil's temperature."""
     dead_m3: float = quantity("dead_cm3", 0.1, 2000.0, CM3, default=15.0 * CM3)
     """Volume of a chamber and its pipe with the piston at its near end."""
     dead_tolerance: float = quantity("dead_tolerance_percent", 0.1, 1000.0, 0.01, default=1.0)
@@ -285,11 +287,11 @@ class SleeveActuator:
     """Conductance of a valve's way out over that of its way in. The way in itself is the one that
     gives `delay_ms`."""
     vent_tolerance: float = quantity("vent_tolerance_percent", 0.1, 100.0, 0.01, default=0.3)
-    """By how much that may differ."""
+    """By how much that share may differ."""
     detent_n: float = quantity("detent_n", 0.0, 5000.0, default=50.0)
     """The greatest force of the detent that holds a sleeve in neutral."""
     detent_tolerance_n: float = quantity("detent_tolerance_n", 0.1, 5000.0, default=150.0)
-    """By how much that may differ."""
+    """By how much the detent's force may differ."""
     detent_m: float = quantity("detent_mm", 0.1, 10.0, MM, default=2.0 * MM)
     """From neutral to where the detent no longer acts."""
 
