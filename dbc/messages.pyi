@@ -138,6 +138,11 @@ class RigFault(IntEnum):
     NODE_RESTART = 17
     NODE_STALLED = 18
     WHEEL_FACTOR = 19
+    VALVE_SLOW_ON = 20
+    VALVE_SLOW_OFF = 21
+    VALVE_LEAKS = 22
+    SLEEVE_STIFF = 23
+    SLEEVE_HEAVY = 24
 
 class BenchAction(IntEnum):
     IDLE = 0

@@ -64,7 +64,10 @@ class Cylinder(Record):
     a_vent_m3_spa: float
     b_fill_m3_spa: float
     b_vent_m3_spa: float
+    a_leak_m3_spa: float  # of a valve that does not close: from the supply, its spool off
+    b_leak_m3_spa: float
     mass_kg: float
+    added_friction: float  # by a fault, as a share of its own
     sliding_n: float
     static_n: float
     damping_nsm: float
@@ -117,6 +120,10 @@ def _rates(y: AxialState, rate: AxialState, c: Cylinder) -> None:
     b_m3 = c.dead_m3 + c.area_m2 * (c.stroke_m - y.x_m)
     a_flow = flow * _flow(y.a_pa, c.a_on, c.a_fill_m3_spa, c.a_vent_m3_spa, c)
     b_flow = flow * _flow(y.b_pa, c.b_on, c.b_fill_m3_spa, c.b_vent_m3_spa, c)
+    if c.a_leak_m3_spa > 0.0 and c.a_on == 0:
+        a_flow += flow * _flow(y.a_pa, 1, c.a_leak_m3_spa, 0.0, c)
+    if c.b_leak_m3_spa > 0.0 and c.b_on == 0:
+        b_flow += flow * _flow(y.b_pa, 1, c.b_leak_m3_spa, 0.0, c)
     rate.a_pa = POLYTROPIC * (a_flow - y.a_pa * swept) / a_m3
     rate.b_pa = POLYTROPIC * (b_flow + y.b_pa * swept) / b_m3
     rate.x_m = y.v_m_s
@@ -170,8 +177,11 @@ def _happened(c: Cylinder) -> int:
 
 
 @inlined
-def _is_still(pa: float, spool: int, c: Cylinder) -> bool:
-    return abs(pa - (c.supply_pa if spool != 0 else c.atmosphere_pa)) < STILL_PA
+def _is_still(pa: float, spool: int, leak: float, c: Cylinder) -> bool:
+    """A chamber between a leak and its vent is never said to be: its pressure goes with both."""
+    if spool != 0:
+        return abs(pa - c.supply_pa) < STILL_PA
+    return leak == 0.0 and abs(pa - c.atmosphere_pa) < STILL_PA
 
 
 @inlined
@@ -209,8 +219,8 @@ def run_ahead(cylinders: Sequence[Cylinder], duration_s: float, samples: Floats)
         if c.direction != 0:
             return 1, BREAKS
     while t < duration_s and count < samples.shape[0]:
-        still = c.direction == 0 and _is_still(c.y.a_pa, c.a_on, c)
-        if still and _is_still(c.y.b_pa, c.b_on, c):
+        still = c.direction == 0 and _is_still(c.y.a_pa, c.a_on, c.a_leak_m3_spa, c)
+        if still and _is_still(c.y.b_pa, c.b_on, c.b_leak_m3_spa, c):
             return count, RESTS
         h = min(STEP_S, duration_s - t)
         _step(c, h)

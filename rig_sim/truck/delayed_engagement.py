@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.delayed_engagement import EngagementByDelay
 from meshpoint.rig_sim.shared.engagement import GEAR_AT, Tally
 from meshpoint.rig_sim.shared.sleeves import SleeveState
@@ -51,6 +53,10 @@ class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[Delaye
 
     def change_conditions(self, built: AsBuilt) -> None:
         """A pure delay goes by none."""
+
+    def alter(self, name: Sleeve, change: Callable[[Cylinder], None]) -> None:  # noqa: ARG002
+        """A pure delay has no cylinder: nothing, and a line that says so."""
+        self._say(self._plant.time_us, f"{name.name} is a pure delay: it has no cylinder")
 
     def axis(self, name: Sleeve, time_us: float) -> AxisTruth:  # noqa: ARG002
         """A pure delay has no chambers: ValueError."""

@@ -10,6 +10,7 @@ air flows.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from copy import deepcopy
 from typing import Final
 
@@ -68,6 +69,14 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         self.sleeves[name] = DrivenSleeve(
             self._sheet.sleeve, 0, self._axis, self.valves.cylinders[name]
         )
+
+    def alter(self, name: Sleeve, change: Callable[[Cylinder], None]) -> None:
+        """The sleeve's cylinder is another from now on, also after `reset_sleeve`."""
+        change(self.valves.cylinders[name])
+        sleeve = self.sleeves[name]
+        sleeve.motion.cut(self._plant.time_us)
+        change(sleeve.cylinder)
+        self._renew_air(name)
 
     def due(self, time_us: float) -> None:
         """Does what is due now; the plant has been advanced to this time."""

@@ -98,8 +98,10 @@ class DrivenSleeve:
 
     @property
     def fed(self) -> bool:
-        """Whether a chamber is open to the tank."""
-        return self.cylinder.a_on != 0 or self.cylinder.b_on != 0
+        """Whether a chamber is open to the tank, by its valve or by a leak."""
+        c = self.cylinder
+        leaks = c.a_leak_m3_spa > 0.0 or c.b_leak_m3_spa > 0.0
+        return leaks or c.a_on != 0 or c.b_on != 0
 
     def look_again(self, time_us: float) -> None:
         """When force and supply are wanted next."""

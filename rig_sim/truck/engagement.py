@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.engagement import Engagement, Tally
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.truck import layout as at
@@ -103,6 +105,10 @@ class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
     def jam(self, name: Sleeve, jammed: bool) -> None:
         """A main sleeve is stuck, or no more."""
         self.sleeves[name].jam(self._plant.time_us, jammed)
+
+    @abstractmethod
+    def alter(self, name: Sleeve, change: Callable[[Cylinder], None]) -> None:
+        """A main sleeve's cylinder is another from now on; a pure delay has none."""
 
     def left(self, row: int, side: int) -> None:
         """The watched phase has left its span: the tooth reaches a gap from the face, or a flank

@@ -131,6 +131,7 @@ class SleeveValves:
 
     def _set_friction(self, c: Cylinder, thicker: float) -> None:
         built = self._built
+        thicker *= 1.0 + c.added_friction
         c.sliding_n = thicker * built["sleeve.friction_n"]
         c.damping_nsm = thicker * built["sleeve.damping_nsm"]
         c.static_n = built["sleeve.static_factor"] * c.sliding_n

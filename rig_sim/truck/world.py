@@ -314,7 +314,7 @@ class TruckWorld:
 
     def switch(self, valve: Valve, on: bool) -> None:
         """The valve's coil is switched now; what the air does comes later."""
-        extra_us = self.faults.valve_delay_us(valve)
+        extra_us = self.faults.valve_delay_us(valve, on)
         if extra_us is None:
             self.faults.miss(valve, on)
             return
