@@ -84,6 +84,7 @@ class Sleeves:
         self._least_s = sheet.sleeve.valve_delay_s
         self.supply_pa = self._sheet_pa
         """Present supply pressure, gauge."""
+        self._valve_us = SECOND_US * sheet.sleeve.valve_delay_s
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
@@ -253,7 +254,11 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         fired = [one for one in tracked.switches if one.time_us < at_us]
-        pulse_us = 0 if self._stops(tracked, side, fired, at_us, 0) else SHORTEST_PULSE_US
+        on_us = max((one.time_us for one in fired if one.valve == side.valve), default=at_us)
+        stops_by_itself = at_us - on_us <= self._valve_us and self._stops(
+            tracked, side, fired, at_us, 0
+        )
+        pulse_us = 0 if stops_by_itself else SHORTEST_PULSE_US
         longest = _aborted(fired, side, at_us, LONGEST_PULSE_US)
         best = self._stopped(tracked, side, longest).furthest_m
         short_m = side.direction * best + NEARLY_M
