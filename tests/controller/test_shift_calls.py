@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from test_shift_states import (
+from shift_box import (
     CONTACT_M,
     DOWN,
     FIRST_SECOND,

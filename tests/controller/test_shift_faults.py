@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 import pytest
-from test_shift_states import (
+from shift_box import (
     DOWN,
     FIRST_SECOND,
     SHEET,

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from test_shift_states import PITCH, STROKE_M, TICK_US, Box
+from shift_box import PITCH, STROKE_M, TICK_US, Box
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.valve_name import ValveName
