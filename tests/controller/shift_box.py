@@ -126,11 +126,11 @@ class Box:
     def slip(self, gear: MainGear) -> float:
         return SHEET.main_mesh(gear).ratio * self.layshaft - self.main
 
-    def phase(self, gear: MainGear) -> float:
-        """True phase of a gear."""
+    def phase(self, gear: MainGear, after_s: float = 0.0) -> float:
+        """True phase of a gear, now or so much later."""
         ratio = SHEET.main_mesh(gear).ratio
         angle = ratio * self.theta_layshaft - self.theta_main + (self.phase_rad or 0.0)
-        return math.remainder(angle, PITCH)
+        return math.remainder(angle + after_s * self.slip(gear), PITCH)
 
     def step(self) -> State:
         """10 ms of the gearbox by what the last step has commanded, then the next step."""
@@ -186,15 +186,15 @@ class Box:
         moved, (low, high) = self.sleeves[sleeve], PUSHED[sleeve]
         if self.position_m[sleeve] != moved.x_m:
             moved.put(self.position_m[sleeve])
-
-        def tooth(direction: int) -> bool:
-            sides = SLEEVE_OF_MAIN.items()
-            gear = next(g for g, s in sides if (s.sleeve, s.direction) == (sleeve, direction))
-            return self.face(self.phase(gear))
-
-        for _ in range(MS_US // SPOOL_US):
+        gears = {side.direction: g for g, side in SLEEVE_OF_MAIN.items() if side.sleeve is sleeve}
+        for since_us in range(0, MS_US, SPOOL_US):
             on = (self.spools[low].popleft(), self.spools[high].popleft())
-            moved.advance(on, self.supply_pa, tooth, sleeve in self.stuck)
+            moved.advance(
+                on,
+                self.supply_pa,
+                lambda way, at=since_us: self.face(self.phase(gears[way], 1e-6 * at)),
+                sleeve in self.stuck,
+            )
         self.position_m[sleeve] = moved.x_m
 
     def _shafts(self, brake: float, dt: float) -> None:

@@ -152,6 +152,7 @@ def test_a_tooth_meets_the_middle_of_its_gap_from_any_angle(phase: float) -> Non
         assert record.measured_contact_us is not None
         assert record.plan is not None
         travelled_us = record.measured_contact_us - record.plan.fire_us
+        assert record.aborts == 0
         assert travelled_us == pytest.approx(1e6 * SHEET.sleeve.delay_s, abs=2_000)
 
 
@@ -185,7 +186,7 @@ def test_a_sleeve_that_meets_a_tooth_goes_back_and_is_fired_again_until_its_atte
 
 
 def rested(box: Box, left: list[int]) -> ShiftRecord:
-    """The shift up; a sleeve that rests on a tooth stays there for as long as it is pushed."""
+    """The shift up; a tooth under which a sleeve rests stays there until it has gone back."""
     passes, gear, resting = box.face, SLEEVE_OF_MAIN[DRIVE_GEARS[UP[2]].main], [False]
 
     def face(phase: float) -> bool:
@@ -197,13 +198,16 @@ def rested(box: Box, left: list[int]) -> ShiftRecord:
     began_us = None
     while box.running():
         box.step()
-        if resting[0] and began_us is None:
+        if resting[0] and began_us is None and box.state is State.ENGAGING:
             began_us = box.now_us
-        if box.state is not State.ENGAGING and began_us is not None:
+        if began_us is not None and box.state is not State.ENGAGING:
             limit_us = 1_000 * box.settings.limits.face_ms
             assert limit_us - 10_000 <= box.now_us - began_us <= limit_us + 20_000
             assert not box.board.command(PUSHED[gear.sleeve][1]).on
-            box.position_m[gear.sleeve] *= 0.1  # its spring pulls it back
-            resting[0], began_us = False, None
+            began_us = None
+        if resting[0] and box.position_m[gear.sleeve] < 0.9 * CONTACT_M:
+            resting[0] = False
+        if box.state is State.RETRACTING:
+            assert box.position_m[gear.sleeve] > -0.5 * CONTACT_M, "towards the other gear"
     box.until(State.IN_GEAR, State.NEUTRAL)
     return box.records[-1]
