@@ -1,28 +1,25 @@
 """The brake's air, on its way before the old gear is out: it arrives as the teeth leave each other.
 
-A sleeve on its way out moves by a constant force, s = a t^2 / 2. From how far it has come and how
-fast it is follows when its teeth are out. The brake's valve is switched its own delay before that.
-Nothing is commanded before the sleeve has been seen to move, and a sleeve that stops takes the
-command back.
+The law of a sleeve on its way out, corrected by its samples, says when its teeth are out. The
+brake's valve is switched its own delay before that. Nothing is commanded before the sleeve has been
+seen to move, and a sleeve that stops takes the command back.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import SleeveTrack
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.valve_name import ValveName
-from meshpoint.gearbox.gears import MAIN_SLEEVES
+from meshpoint.gearbox.gears import MAIN_SLEEVES, Sleeve
 from meshpoint.units import SECOND_US
 
 MOVED_M: Final = 0.6e-3
 """A sleeve this far from where it stood is on its way: some times the sensors' noise."""
 OVER_SAMPLES: Final = 3
-"""The sleeve's speed is taken over this many samples of 1 ms."""
+"""Over this many samples of 1 ms it is seen whether the sleeve moves."""
 CLEAR_M: Final = 1.0e-3
 """Air comes in when the teeth are this far from each other, as predicted."""
 
@@ -76,51 +73,34 @@ def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return slip - context.settings.window.fire_slip_rad_s > fall
 
 
-def _leaving(context: ShiftContext, snapshot: StepSnapshot) -> tuple[SleeveTrack, int] | None:
-    """The track of the main sleeve that is farthest from neutral, and its side; None in neutral."""
-    tracks = [snapshot.view.tracks[name] for name in MAIN_SLEEVES]
-    track = max(tracks, key=lambda one: abs(one.position_m))
-    if abs(track.position_m) > context.sheet.sleeve.stroke_m - MOVED_M:
+def _leaving(context: ShiftContext, snapshot: StepSnapshot) -> tuple[Sleeve, int] | None:
+    """The main sleeve that is farthest from neutral, and its side; None where none has moved."""
+    sleeve = max(MAIN_SLEEVES, key=lambda one: abs(snapshot.view.position_m(one)))
+    position_m = snapshot.view.position_m(sleeve)
+    if abs(position_m) > context.sheet.sleeve.stroke_m - MOVED_M:
         return None
-    return track, 1 if track.position_m > 0.0 else -1
+    return sleeve, 1 if position_m > 0.0 else -1
 
 
 def _leaves(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the sleeve is out of its teeth, or on its way."""
-    sleeve = context.sheet.sleeve
     found = _leaving(context, snapshot)
     if found is None:
         return False
-    track, side = found
-    if track.position_m * side < sleeve.to_contact_m - CLEAR_M:
-        return True
-    return _speed_m_s(track, side) > 0.0
-
-
-def _speed_m_s(track: SleeveTrack, side: int) -> float:
-    """How fast the sleeve goes toward neutral."""
-    come_m = (track.samples_m[OVER_SAMPLES] - track.samples_m[0]) * side
-    return come_m / (OVER_SAMPLES * 1e-3)
+    sleeve, side = found
+    samples_m = snapshot.view.tracks[sleeve].samples_m
+    is_out = samples_m[0] * side < context.sheet.sleeve.to_contact_m - CLEAR_M
+    return is_out or (samples_m[OVER_SAMPLES] - samples_m[0]) * side > 0.0
 
 
 def _teeth_out_us(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
-    """When the old gear's teeth will be clear of each other; None while the sleeve stands."""
-    sleeve, found = context.sheet.sleeve, _leaving(context, snapshot)
-    if found is None:
+    """When the old gear's teeth will be clear of each other; None while the sleeve stands, or where
+    it will stop before."""
+    found = _leaving(context, snapshot)
+    if found is None or not _leaves(context, snapshot):
         return None
-    track, side = found
-    speed = _speed_m_s(track, side)
-    come_m = sleeve.stroke_m - track.position_m * side
-    way_m = sleeve.stroke_m - sleeve.to_contact_m + CLEAR_M
-    if come_m >= way_m:
+    sleeve, side = found
+    clear_m, track = context.sheet.sleeve.to_contact_m - CLEAR_M, snapshot.view.tracks[sleeve]
+    if track.position_m * side <= clear_m:
         return float(track.newest_us)
-    if speed <= 0.0 or context.main_valves_rest(snapshot.now_us):
-        return None  # it stands, or nothing pulls it any more
-    # The speed is that of the middle of its samples; s = a t^2 / 2 gives t = 2 s / v.
-    middle_m = come_m - 0.5 * speed * OVER_SAMPLES * 1e-3
-    if middle_m <= 0.0:
-        return None
-    since_s = 2.0 * middle_m / speed
-    out_s = since_s * math.sqrt(way_m / middle_m)
-    middle_us = track.newest_us - 0.5 * OVER_SAMPLES * MS_IN_US
-    return middle_us + (out_s - since_s) * SECOND_US
+    return context.sleeves.passes_us(sleeve, side * clear_m, -side)

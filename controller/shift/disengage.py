@@ -49,11 +49,13 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         changes_range = snapshot.view.range_ is not shift.target.range_
         # The range waits for a sleeve that runs through neutral to stand there.
         return None if changes_range and not snapshot.view.main_rests else Trigger.MAIN_BOX_NEUTRAL
-    if shift.pulls > context.settings.limits.attempts:
-        return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     if gear is not None and gear is not MainGear.NEUTRAL:
+        if _stays_in(context, snapshot):
+            return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
         pull_out(context, snapshot, gear)
-    elif context.late(snapshot, context.settings.limits.disengage_ms):
+    elif shift.returns > context.settings.limits.attempts or context.late(
+        snapshot, context.settings.limits.disengage_ms
+    ):
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     else:
         bring_to_neutral(context, snapshot, stands=False)
@@ -86,12 +88,23 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
         shift.pull_again_us = off_us + PULL_PAUSE_US
 
 
+def _stays_in(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the gear has been pulled often enough, and for `limits.disengage_ms`, in vain."""
+    shift, limits = context.running, context.settings.limits
+    is_tried = shift.pulls >= limits.attempts and context.late(snapshot, limits.disengage_ms)
+    return is_tried and _rests_after_pull(context, snapshot)
+
+
+def _rests_after_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    is_over = snapshot.now_us >= context.running.pull_again_us
+    return is_over and not is_under_way(context, snapshot)
+
+
 def _may_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the gear is to be pulled, or pulled once more: torque on the teeth may have reversed
     since."""
-    shift = context.running
-    if is_under_way(context, snapshot) or snapshot.now_us < shift.pull_again_us:
+    if not _rests_after_pull(context, snapshot):
         return False
-    shift.pulls += 1
+    context.running.pulls += 1
     context.references.released()
     return True

@@ -121,7 +121,7 @@ class ShiftSequence(ShiftContext):
         """A sleeve has not come to rest in neutral: it is brought there, the brake released."""
         self.all_off(snapshot.now_us)
         self.running.plan = self.running.release_us = None
-        self.running.pulls += 1
+        self.running.returns += 1
         return Trigger.LEFT_NEUTRAL
 
     def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:

@@ -151,6 +151,8 @@ class ShiftRecord:
     """What rounding has left out of the torque asked for."""
     pulls: int = 0
     """How often the old gear was pulled."""
+    returns: int = 0
+    """How often a sleeve that had left neutral was brought back."""
     pull_again_us: int = 0
     """A gear that has not come out is not pulled again before."""
     clutch_us: int | None = None

@@ -56,7 +56,7 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
 
 
 def _may_be_in_mesh(context: ShiftContext, snapshot: StepSnapshot, sleeve: Sleeve) -> bool:
-    """Whether the sleeve is at a gear's teeth while the brake presses: it may not be pulled then."""
+    """Whether the sleeve is at a gear's teeth while the brake presses: no pull is allowed then."""
     at_teeth = abs(snapshot.view.position_m(sleeve)) > context.sheet.sleeve.to_contact_m - CLEAR_M
     return at_teeth and snapshot.view.brake_gauge_pa > PRESSED_PA
 

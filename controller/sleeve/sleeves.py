@@ -163,6 +163,18 @@ class Sleeves:
         )
         return Place(way.m, way.end_m_s, sd_m, way.end_m_s != 0.0)
 
+    def passes_us(self, sleeve: Sleeve, level_m: float, direction: int) -> float | None:
+        """When a sleeve comes by a place in this direction, by the commands so far; None where it
+        does not get there."""
+        way = self._sleeves[sleeve].ahead(
+            self._supply_pa,
+            ending=TO_LEVEL,
+            until_us=self._now_us + LONGEST_US,
+            level_m=level_m,
+            direction=float(direction),
+        )
+        return way.crossed_us
+
     def stroke(self, gear: MainGear, fire_us: int) -> Stroke:
         """The contact, if the valve towards the gear switches on then, from where the sleeve is
         then."""
@@ -279,7 +291,7 @@ class Sleeves:
         teeth or between unloaded ones: towards neutral, or against its motion where it would fly
         past. None where it comes to rest there by itself."""
         tracked = self._sleeves[sleeve]
-        kept = [one for one in tracked.switches if one.time_us < at_us]
+        kept = [one for one in tracked.switches if one.time_us <= at_us]
         left = tracked.ahead(
             self._supply_pa, ending=TO_REST, until_us=at_us + RESTS_US, switches=kept
         )
@@ -335,7 +347,7 @@ class Sleeves:
 
     def _pulse(self, tracked: TrackedSleeve, sleeve: Sleeve, on_us: int, direction: int) -> Pulse:
         valve = 0 if direction > 0 else 1
-        kept = [one for one in tracked.switches if one.time_us < on_us]
+        kept = [one for one in tracked.switches if one.time_us <= on_us]
         # Between the shortest pulse that gets there and the longest that does not go beyond, in the
         # middle: the detent makes good for what the law does not know.
         ends_us = []
