@@ -37,7 +37,7 @@ def better_halted(
         return None
     gear, at_us = shift.target.main, snapshot.now_us + BUS_US
     last_us = context.sleeves.last_abort_us(gear, plan.fire_us)
-    # Until the last step in which it can be stopped, waiting costs nothing and tells more.
+    # Until the last step in which it can be stopped, waiting costs nothing and more is known.
     if last_us is None or not at_us <= last_us < at_us + context.tick_us:
         return None
     halt = context.sleeves.abort(gear, at_us)
@@ -80,8 +80,10 @@ def stand(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     shift.halt_m = place.m
     braking = context.board.command(OPPOSITE[gear])
     stopped_us = braking.until_us if braking.on else context.since_us
-    if braking.on and snapshot.now_us < braking.time_us:
-        return None  # as far as the bus knows it stays on: the other valve may not be fired yet
+    if snapshot.now_us == context.since_us or (braking.on and snapshot.now_us < braking.time_us):
+        # The valve towards the gear has to go off before it is fired again, and as far as the bus
+        # knows the braking one stays on.
+        return None
     if snapshot.now_us > context.since_us + STANDS_US:
         return Trigger.BLOCKED
     predictor = context.predictor(gear, snapshot)
