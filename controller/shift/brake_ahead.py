@@ -57,10 +57,11 @@ def _take_back(context: ShiftContext, snapshot: StepSnapshot) -> None:
 def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the new gear is so fast that drag alone would take longer than `limits.coast_ms`, and
     the guard has blocked nothing in this shift: a block takes every valve off, so air that came too
-    soon would press as the gear is pulled again, and would come too soon again."""
+    soon would press as the gear is pulled again, and would come too soon again. Nor
+    for a sleeve that has left neutral by itself: it is brought back first."""
     shift, view, sheet = context.running, snapshot.view, context.sheet
     target = shift.target
-    if shift.blocks:
+    if shift.blocks or shift.returns:
         return False
     slip, layshaft = snapshot.speeds.slip_rad_s(target.main), snapshot.speeds.layshaft
     if (view.split, view.range_) != (target.split, target.range_):
