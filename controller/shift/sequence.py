@@ -154,10 +154,10 @@ class ShiftSequence(ShiftContext):
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A drive gear is requested. Returns a line for the log if the request is refused."""
-        if self.state not in (State.IN_GEAR, State.NEUTRAL) or self._rests(snapshot):
+        # Before the guard's self-test the clutch would open, and every valve stay blocked.
+        is_ready = self.state in (State.IN_GEAR, State.NEUTRAL) and snapshot.is_self_tested
+        if not is_ready or self._rests(snapshot):
             return None
-        if not snapshot.is_self_tested:
-            return None  # as while starting: the clutch would open, and every valve stay blocked
         current = snapshot.view.gear_number
         if number == current:
             return None

@@ -236,8 +236,11 @@ def test_a_clock_fault_that_a_hanging_controller_has_not_heard_of_shows_when_it_
 def test_a_sleeve_is_seen_to_meet_its_gear_out_of_the_window(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The deed whose guard looks away."""
-    monkeypatch.setattr(Guard, "passes", lambda self, payload, seen: True)
+    """The deed whose guard judges, and is not heeded."""
+    judged = Guard.passes
+    monkeypatch.setattr(
+        Guard, "passes", lambda self, payload, seen: judged(self, payload, seen) or True
+    )
     assert [each.what for each in run(deed_alone("mad_slip")).broken] == ["slip_at_contact"]
 
 
