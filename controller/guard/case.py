@@ -176,14 +176,12 @@ class Case(NamedTuple):
         """Whether this valve is on no longer than its sleeve takes to brake, or to come back to
         neutral from before the other gear's teeth: it is off before the sleeve can come to its own
         gear's, even if the next command is the first to end it."""
-        limits, way_m = self.limits, self.way_m(valve)
-        on_us = min(span.end_us, self.seen.now_us + limits.switch_again_us) - self._since_us(
-            valve, span
-        )
-        brakes_us = self._brakes_us(valve, span)
+        way_m, brakes_us = self.way_m(valve), self._brakes_us(valve, span)
         if way_m >= -GUARD_NEUTRAL_M and brakes_us == 0.0:
             return False
-        return on_us <= max(longest_pulse_us(limits, way_m), brakes_us)
+        end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
+        comes_back = end_us - self._since_us(valve, span) <= longest_pulse_us(self.limits, way_m)
+        return comes_back or end_us - span.start_us <= brakes_us
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to
@@ -192,10 +190,10 @@ class Case(NamedTuple):
         return span.start_us if drive is None else drive.start_us
 
     def _brakes_us(self, valve: int, span: Span) -> float:
-        """For so long this valve may be on against the push of the other one, which was on as long
-        and is off just now; 0 where there is none, or the sleeve is seen to move on toward this
-        valve's gear."""
-        before = self.last_drive(OTHER_OF_MAIN[valve])
+        """For so long this valve may be on against the push of the other one, which was on for so
+        much longer than this one and is off just now; 0 where there is none, or the sleeve is seen
+        to move on toward this valve's gear."""
+        before, own = self.last_drive(OTHER_OF_MAIN[valve]), self.state.drives.get(valve)
         gear = self.limits.main[valve]
         if (
             before is None
@@ -203,7 +201,8 @@ class Case(NamedTuple):
             or self.seen.means_m_s[gear.sleeve] * gear.direction >= LEAVING_M_S
         ):
             return 0.0
-        return float(min(REACT_US, before.lasted_us))
+        left_us = before.driven_us - (0 if own is None else own.driven_us)
+        return float(max(0, min(REACT_US, left_us)))
 
     def last_drive(self, valve: int) -> Drive | None:
         """How a main valve that is not driven any more was, since its sleeve was last seen to
@@ -212,11 +211,13 @@ class Case(NamedTuple):
         before = self.state.drives.get(valve)
         if was is None or was.start_us > now_us:
             return before
+        end_us = min(was.end_us, now_us)
         drive = Drive(
             was.start_us,
-            min(was.end_us, now_us),
+            end_us,
             valve in self.state.engages,
             valve in self.state.pulls,
+            end_us - was.start_us,
             self.state.stood_m.get(valve, self.way_m(valve)),
         )
         if before is None:
@@ -226,6 +227,7 @@ class Case(NamedTuple):
             drive.end_us,
             before.engages or drive.engages,
             before.pulls or drive.pulls,
+            before.driven_us + drive.driven_us,
             max(before.stood_m, drive.stood_m),
         )
 

@@ -58,6 +58,8 @@ class Drive(NamedTuple):
     """Whether it drove the sleeve to a gear's teeth, as far as the guard could tell."""
     pulls: bool
     """Whether it pulled a gear out."""
+    driven_us: int
+    """How long it was on in all."""
     stood_m: float
     """Where the sleeve stood as it set it going, positive toward the valve's gear."""
 

@@ -89,10 +89,12 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
 
 
 def _stays_in(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the gear has been pulled often enough, and for `limits.disengage_ms`, in vain."""
+    """Whether the gear has been pulled often enough and for `limits.disengage_ms` in vain, or could
+    not be pulled for as long as all attempts may take: a clutch that does not part."""
     shift, limits = context.running, context.settings.limits
     is_tried = shift.pulls >= limits.attempts and context.late(snapshot, limits.disengage_ms)
-    return is_tried and _rests_after_pull(context, snapshot)
+    is_late = context.late(snapshot, limits.attempts * limits.disengage_ms)
+    return (is_tried or is_late) and _rests_after_pull(context, snapshot)
 
 
 def _rests_after_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:

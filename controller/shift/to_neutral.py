@@ -41,8 +41,7 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
     """Brings the main sleeves that do not come to rest in neutral by themselves there, one after
     the other. Whether that is still under way.
 
-    stands: only a sleeve that stands is moved, since the guard counts pulses in a row as one; else
-    one that falls short is pulled on at once, and one that flies past is braked."""
+    stands: only a sleeve that stands is moved; else one that flies past is braked, too."""
     if not context.main_valves_rest(snapshot.now_us) or (stands and _moves(context, snapshot)):
         return True
     for sleeve in MAIN_SLEEVES:

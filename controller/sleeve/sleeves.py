@@ -46,6 +46,8 @@ LONGEST_PULSE_US: Final = 14_000
 SHORTEST_PULSE_US: Final = 9_000
 """The step that aborts sends the pulse's beginning, the next one its end."""
 PULSE_STEP_US: Final = 500
+ALONE_SHARE: Final = 0.4
+"""A sleeve that stops by itself within this share of its way to the teeth is not braked."""
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 250
 LONGEST_PULL_US: Final = 60_000
@@ -266,10 +268,9 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         fired = [one for one in tracked.switches if one.time_us < at_us]
-        on_us = max((one.time_us for one in fired if one.valve == side.valve), default=at_us)
-        stops_by_itself = at_us - on_us <= self._valve_us and self._stops(
-            tracked, side, fired, at_us, 0
-        )
+        alone = self._stopped(tracked, side, _aborted(fired, side, at_us, 0))
+        is_near = side.direction * alone.furthest_m < ALONE_SHARE * self._law.face_m
+        stops_by_itself = is_near and self._stops(tracked, side, fired, at_us, 0)
         pulse_us = 0 if stops_by_itself else SHORTEST_PULSE_US
         longest = _aborted(fired, side, at_us, LONGEST_PULSE_US)
         best = self._stopped(tracked, side, longest).furthest_m
@@ -287,17 +288,19 @@ class Sleeves:
         return Halt(at_us, at_us + pulse_us, way.m, sd_m)
 
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
-        """The pulse that brings a sleeve to rest in neutral, from where it is then, before the
-        teeth or between unloaded ones: towards neutral, or against its motion where it would fly
-        past. None where it comes to rest there by itself."""
+        """The pulse that brings a sleeve to rest in neutral: towards neutral where it stands before
+        the teeth or between unloaded ones, against its motion where it would fly past. None where
+        it comes to rest there by itself, or falls short and does not stand yet: two pulses in a
+        row could throw it to the other gear."""
         tracked = self._sleeves[sleeve]
         kept = [one for one in tracked.switches if one.time_us <= at_us]
         left = tracked.ahead(
             self._supply_pa, ending=TO_REST, until_us=at_us + RESTS_US, switches=kept
         )
-        if abs(left.m) < NEAR_NEUTRAL_M:
+        direction = 1 if left.m < 0.0 else -1
+        if abs(left.m) < NEAR_NEUTRAL_M or direction * self.place(sleeve, at_us).speed_m_s > 0.0:
             return None
-        return self._pulse(tracked, sleeve, at_us, 1 if left.m < 0.0 else -1)
+        return self._pulse(tracked, sleeve, at_us, direction)
 
     def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
