@@ -48,6 +48,7 @@ SHORTEST_PULSE_US: Final = 9_000
 PULSE_STEP_US: Final = 500
 ALONE_SHARE: Final = 0.4
 """A sleeve that stops by itself within this share of its way to the teeth is not braked."""
+LEAST_SD_M: Final = 1e-7
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 250
 LONGEST_PULL_US: Final = 60_000
@@ -482,23 +483,39 @@ class Sleeves:
         self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int, pulse_us: int
     ) -> bool:
         """Whether a sleeve that is aborted so stops short of the teeth by the margin."""
-        way = self._stopped(tracked, side, _aborted(fired, side, at_us, pulse_us))
-        short_m = self._law.face_m - side.direction * way.furthest_m
-        if short_m < LEAST_MARGIN_M:
+        switches = _aborted(fired, side, at_us, pulse_us)
+        limit_m = self._law.face_m - LEAST_MARGIN_M
+        if side.direction * self._stopped(tracked, side, switches).furthest_m > limit_m:
             return False
-        return short_m >= SURE * self._stop_sd_m(tracked, side, fired, at_us, pulse_us)
+        return self._surely_short_m(tracked, side, switches) <= limit_m
+
+    def _surely_short_m(self, tracked: TrackedSleeve, side: Side, switches: list[Switch]) -> float:
+        """How far toward the gear an aborted sleeve gets whose law and switches are SURE deviations
+        off to the bad side. Followed by the law, not extrapolated: once out of its detent a sleeve
+        goes on to the teeth."""
+        furthest_m = self._furthest_of(tracked, side, switches)
+        mean, base_m = tracked.unknowns(switches), self._stopped(tracked, side, switches).furthest_m
+        slope = side.direction * slopes(furthest_m, mean, np.array([base_m]))[0]
+        spread = tracked.covariance_with(switches) @ slope
+        sd_m = math.sqrt(max(float(slope @ spread), 0.0))
+        worst = mean + SURE / max(sd_m, LEAST_SD_M) * spread
+        return side.direction * float(furthest_m(worst)[0])
+
+    def _furthest_of(
+        self, tracked: TrackedSleeve, side: Side, switches: list[Switch]
+    ) -> Callable[[Vector], Vector]:
+        def furthest_m(unknowns: Vector) -> Vector:
+            return np.array([self._stopped(tracked, side, switches, unknowns).furthest_m])
+
+        return furthest_m
 
     def _stop_sd_m(
         self, tracked: TrackedSleeve, side: Side, fired: list[Switch], at_us: int, pulse_us: int
     ) -> float:
         """Deviation of the place to which an aborted sleeve gets."""
         switches = _aborted(fired, side, at_us, pulse_us)
-
-        def furthest_m(unknowns: Vector) -> Vector:
-            return np.array([self._stopped(tracked, side, switches, unknowns).furthest_m])
-
         base_m = self._stopped(tracked, side, switches).furthest_m
-        return _sd(furthest_m, tracked, switches, base_m)
+        return _sd(self._furthest_of(tracked, side, switches), tracked, switches, base_m)
 
 
 def _sd(
