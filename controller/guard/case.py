@@ -290,12 +290,16 @@ class Case(NamedTuple):
         gear, from where it stands as it sets off. One that is not seen to stand since it was fired
         before may be anywhere up to where that can have brought it."""
         limits, sleeve = self.limits, self.limits.main[valve].sleeve
-        stands_m = farthest_m = self.way_m(valve)
-        if not self.has_not_set_off(span):
-            stands_m = farthest_m = self.state.stood_m.get(valve, stands_m)
+        stands_m = farthest_m = self.set_off_m(valve, span)
         if any(drive.engages for drive in self.drives_before(sleeve)):
             farthest_m = limits.contact_m - (0.0 if self.moves_on(sleeve) else CLEAR_M)
         return contact_between_us(limits, span.start_us, stands_m, farthest_m)
+
+    def set_off_m(self, valve: int, span: Span) -> float:
+        """Where the valve's sleeve stands, or stood as this span set it going; positive toward the
+        gear."""
+        way_m = self.way_m(valve)
+        return way_m if self.has_not_set_off(span) else self.state.stood_m.get(valve, way_m)
 
     def has_not_set_off(self, span: Span) -> bool:
         """Whether the positions were sampled before this span can have moved anything."""
