@@ -2,9 +2,8 @@
 near its gear.
 
 Before, a firing is forbidden only if no contact can come right: it is judged again. In the last
-step in which the sleeve still stops short of the teeth the slip has to come right if the main shaft
-goes on as it does and the layshaft keeps its speed; in the last one before contact, whatever the
-shafts may do.
+step in which the sleeve still stops short of the teeth the slip has to come right whatever the main
+shaft may do if the layshaft keeps its speed; in the last one before contact, whatever both may do.
 """
 
 from __future__ import annotations
@@ -25,10 +24,11 @@ def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
         return True
     _, late_us = case.contact_us(valve, span)
     most = least = layshaft.newest.omega_rad_s
-    main_least = main_most = main.expected(late_us)
+    # The main shaft goes on swinging as it has.
+    main_least, main_most = main.between(late_us)
+    most = least = layshaft.newest.omega_rad_s
     if last:
-        # The main shaft goes on swinging as it has, the layshaft falls as it does or not at all.
-        main_least, main_most = main.between(late_us)
+        # Once no brake acts any more, the layshaft falls as it does or not at all.
         ahead_s = max(0.0, late_us - layshaft.newest.time_us) * 1e-6
         least += min(0.0, layshaft.rate_rad_s2) * ahead_s
     ratio, (low, high) = case.limits.main[valve].ratio, case.limits.slip_rad_s

@@ -42,12 +42,6 @@ class Swing(NamedTuple):
         most = min(self.most_rad_s, now + self.rises_rad_s2 * ahead_s)
         return least, most
 
-    def expected(self, time_us: float) -> float:
-        """Speed (rad/s) at a time if it goes on changing as it does, as far as it has been."""
-        ahead_s = max(0.0, time_us - self.newest.time_us) * 1e-6
-        expected = self.newest.omega_rad_s + self.rate_rad_s2 * ahead_s
-        return min(max(expected, self.least_rad_s), self.most_rad_s)
-
 
 class SwingMemory:
     """One shaft's speeds of the last period."""

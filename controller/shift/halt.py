@@ -30,10 +30,11 @@ neutral."""
 def better_halted(
     context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot
 ) -> Halt | None:
-    """How to stop the sleeve, where it can still be stopped and the contact that it is on its way
-    to is expected to cost more than another one."""
+    """How to stop the sleeve, where it can still be stopped and would meet its gear out of the
+    guard's slip window, or the contact that it is on its way to is expected to cost more than
+    another one."""
     shift, plan = context.running, context.running.plan
-    if plan is None or not shift_aims(context) or _has_spent_its_time(context, snapshot):
+    if plan is None or _has_spent_its_time(context, snapshot):
         return None
     gear, at_us = shift.target.main, snapshot.now_us + BUS_US
     last_us = context.sleeves.last_abort_us(gear, plan.fire_us)
@@ -41,8 +42,12 @@ def better_halted(
     if last_us is None or not at_us <= last_us < at_us + context.tick_us:
         return None
     halt = context.sleeves.abort(gear, at_us)
-    if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
+    slip, window = predictor.slip_rad_s(plan.contact_us), context.settings.guard
+    is_in_window = window.slip_low_rad_s <= slip <= window.slip_high_rad_s
+    if not is_in_window or brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         return halt
+    if not shift_aims(context):
+        return None
     earliest_us = max(halt.off_us, snapshot.earliest_us + context.tick_us)
     again = context.with_stroke(
         predictor, context.sleeves.stroke_after(gear, halt, earliest_us), earliest_us
