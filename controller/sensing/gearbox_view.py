@@ -156,10 +156,12 @@ class GearboxView:
     @property
     def main_rests(self) -> bool:
         """Whether both main sleeves stand, as far as the samples of a frame show."""
-        return all(
-            abs(track.samples_m[0] - track.samples_m[SAMPLES - 1]) < RESTS_M
-            for track in map(self.tracks.__getitem__, MAIN_SLEEVES)
-        )
+        return all(map(self.rests, MAIN_SLEEVES))
+
+    def rests(self, sleeve: Sleeve) -> bool:
+        """Whether a sleeve stands, as far as the samples of a frame show."""
+        samples_m = self.tracks[sleeve].samples_m
+        return abs(samples_m[0] - samples_m[SAMPLES - 1]) < RESTS_M
 
     def side(self, sleeve: Sleeve) -> int:
         """-1 or +1 where the sleeve is in mesh, 0 elsewhere."""

@@ -81,6 +81,7 @@ def _free_sleeves(context: ShiftContext, snapshot: StepSnapshot) -> None:
     has not come is tried again after a while, so that it does not take all the air."""
     context.clutch = ClutchAction.OPEN
     is_ready = snapshot.is_self_tested and context.armed and snapshot.view.clutch_parted
-    if is_ready and snapshot.now_us - context.freed_us > FREE_AGAIN_US:
+    # Another time where the sensors' clock has gone back since.
+    if is_ready and not 0 <= snapshot.now_us - context.freed_us <= FREE_AGAIN_US:
         context.freed_us = snapshot.now_us
         bring_to_neutral(context, snapshot, stands=True)

@@ -64,9 +64,7 @@ def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
         return False
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
     for sleeve in MAIN_SLEEVES:
-        newest_m, before_m = (
-            snapshot.view.tracks[sleeve].samples_m[k] for k in (0, OVER_SAMPLES)
-        )
+        newest_m, before_m = (snapshot.view.tracks[sleeve].samples_m[k] for k in (0, OVER_SAMPLES))
         come_m_s = (abs(before_m) - abs(newest_m)) / (OVER_SAMPLES * 1e-3)
         is_leaving = abs(newest_m) < clear_m and come_m_s > LEAVES_M_S
         if not is_leaving and abs(newest_m) > VIEW_NEUTRAL_M:

@@ -9,7 +9,12 @@ from meshpoint.controller.shift.brake_ahead import brake_ahead
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.to_neutral import bring_to_neutral, comes_to_rest, is_under_way
+from meshpoint.controller.shift.to_neutral import (
+    bring_to_neutral,
+    comes_to_rest,
+    is_under_way,
+    stand,
+)
 from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.controller.valve_name import OPPOSITE
 from meshpoint.dbc.messages import ClutchAction, FaultCode
@@ -21,6 +26,9 @@ meanwhile."""
 
 LONGER_SHARE: Final = 0.5
 """A gear that has not come out is pulled for so much longer each time."""
+
+LEAST_DELAYS: Final = 1.5
+"""Each pull but the first lasts longer than its valve's delay by so much."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
@@ -46,9 +54,10 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if gear is shift.target.main and snapshot.view.range_ is shift.target.range_:
         return Trigger.MAIN_BOX_STAYS
     if gear is MainGear.NEUTRAL and comes_to_rest(context, snapshot):
-        changes_range = snapshot.view.range_ is not shift.target.range_
-        # The range waits for a sleeve that runs through neutral to stand there.
-        return None if changes_range and not snapshot.view.main_rests else Trigger.MAIN_BOX_NEUTRAL
+        # The range waits for a sleeve that runs through neutral to stand there, and the brake for
+        # one that was pushed back: the guard takes it to be on its way to a gear until then.
+        waits = shift.pushed_us is not None or snapshot.view.range_ is not shift.target.range_
+        return None if waits and not stand(context, snapshot) else Trigger.MAIN_BOX_NEUTRAL
     if gear is not None and gear is not MainGear.NEUTRAL:
         if _stays_in(context, snapshot):
             return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
@@ -82,8 +91,11 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
         shift.pull_again_us = off_us + PULL_PAUSE_US
     elif (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
         pulse = context.sleeves.pull_out(gear, unloaded_us)
-        longer = 1.0 + LONGER_SHARE * (shift.pulls - 1)
-        off_us = pulse.on_us + round(longer * (pulse.off_us - pulse.on_us))
+        longer, lasts_us = 1.0 + LONGER_SHARE * (shift.pulls - 1), pulse.off_us - pulse.on_us
+        if shift.pulls > 1:
+            # Whatever the law says of a sleeve that has not moved.
+            lasts_us = max(lasts_us, round(LEAST_DELAYS * context.sheet.sleeve.valve_delay_s * 1e6))
+        off_us = pulse.on_us + round(longer * lasts_us)
         context.board.pulse(valve, pulse.on_us, off_us, now_us)
         shift.pull_again_us = off_us + PULL_PAUSE_US
 

@@ -24,6 +24,7 @@ from meshpoint.controller.shift.disengage import disengage, open_clutch
 from meshpoint.controller.shift.engage import CALLS, engage, recall, retract
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
 from meshpoint.controller.shift.halt import stand
+from meshpoint.controller.shift.ringing import FREE_STATES
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
@@ -91,6 +92,8 @@ class ShiftSequence(ShiftContext):
             self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
+        elif self.state in FREE_STATES and snapshot.supply_pa < self.settings.limits.supply_low_pa:
+            self._go(self.give_up(snapshot, FaultCode.LOW_SUPPLY), snapshot)
         elif self.state in NEUTRAL_WANTED and _shows_a_gear(snapshot.view):
             self._go(self._brought_in(snapshot), snapshot)
         elif self.state in NEUTRAL_WANTED and has_left_neutral(snapshot):

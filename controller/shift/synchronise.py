@@ -16,6 +16,7 @@ from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN
 
 KEEP_US: Final = 6 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
@@ -193,6 +194,9 @@ def plan_firing(
         plan = None  # too far ahead: the valve side would refuse it
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         plan = None
+    mine = SLEEVE_OF_MAIN[shift.target.main].sleeve
+    if not all(snapshot.view.rests(other) for other in MAIN_SLEEVES if other is not mine):
+        plan = None  # the guard lets no sleeve go while the other one may move
     if plan is None:
         context.board.off(valve)
         waiting = ShiftDecision.WAIT_FOR_GAP if acting.aims else ShiftDecision.WAIT_FOR_SLIP

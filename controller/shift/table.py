@@ -151,6 +151,8 @@ class ShiftRecord:
     """What rounding has left out of the torque asked for."""
     pulls: int = 0
     """How often the old gear was pulled."""
+    pushed_us: int | None = None
+    """When a valve last went off that pushed a sleeve on to neutral, or braked it there."""
     returns: int = 0
     """How often a sleeve that had left neutral was brought back."""
     pull_again_us: int = 0

@@ -19,6 +19,8 @@ CLEAR_M: Final = 1.0e-3
 """A sleeve this far before a gear's teeth has none between them."""
 PRESSED_PA: Final = 0.8e5
 """With more than this, gauge, the brake presses: the guard lets no gear be pulled out then."""
+SHUTS_US: Final = 25 * MS_IN_US
+"""A sample is there this long after a valve's current of when the slowest valve has shut."""
 RESTS_US: Final = 60 * MS_IN_US
 """A sleeve whose valves are off comes to rest within this time."""
 
@@ -37,6 +39,13 @@ def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return all(abs(place.m) < VIEW_NEUTRAL_M for place in places)
 
 
+def stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether both main sleeves are seen to stand since a valve last pushed one of them."""
+    pushed_us = context.running.pushed_us
+    is_shut = pushed_us is None or snapshot.now_us > pushed_us + SHUTS_US
+    return is_shut and not is_under_way(context, snapshot)
+
+
 def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: bool) -> bool:
     """Brings the main sleeves that do not come to rest in neutral by themselves there, one after
     the other. Whether that is still under way.
@@ -50,6 +59,8 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
         pulse = context.sleeves.to_neutral(sleeve, snapshot.now_us + BUS_US)
         if pulse is not None:
             context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
+            if context.shift is not None:
+                context.shift.pushed_us = pulse.off_us
             return True
     return _moves(context, snapshot)
 

@@ -249,6 +249,8 @@ class TrackedSleeve:
     def take(self, track: SleeveTrack, supply_pa: float) -> None:
         """The newest samples."""
         count = len(track.samples_m)
+        if self.newest_us is not None and track.newest_us < self.newest_us:
+            self._begin_anew(track)
         if self.newest_us is not None:
             count = min(count, (track.newest_us - self.newest_us) // SAMPLE_US)
         if count <= 0:
@@ -268,6 +270,14 @@ class TrackedSleeve:
             self._go_on(track, supply_pa)
         if self._is_over(track):
             self._settle(track, supply_pa)
+
+    def _begin_anew(self, track: SleeveTrack) -> None:
+        """The sensors' clock has gone back: nothing of before holds but what was learned."""
+        self.newest_us, self.contact, self._switched_us = None, None, 0
+        self.switches, self.late_s = [], np.zeros(0)
+        self._forget_movement()
+        self.start = Start(track.newest_us, self.start.state, True)
+        self._rest(track, 0.0)
 
     def _moves_us(self) -> float | None:
         """The earliest at which a sleeve at rest may begin to move; None while nothing moves it."""
