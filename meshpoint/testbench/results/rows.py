@@ -24,9 +24,10 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.results.aborts import halt_mm
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
 from meshpoint.testbench.results.shift_parts import ShiftParts, closing_since_us, parts_of
-from meshpoint.units import DEG, MM, RPM
+from meshpoint.units import DEG, RPM
 
 CONTACT_KINDS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
@@ -190,7 +191,7 @@ class RowCollector:
             phases=parts,
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
             aborts=outcome.aborts,
-            halt_mm=outcome.halt_position_m / MM if outcome.aborts else None,
+            halt_mm=halt_mm(outcome),
         )
 
 
