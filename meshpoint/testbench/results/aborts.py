@@ -11,8 +11,8 @@ TIMES: Final = ("never", "once", "twice")
 
 
 def halt_mm(outcome: ShiftOutcome) -> float | None:
-    """Where the sleeve stood after the last abort, in mm from neutral, negative towards the gear on
-    its other side; None without an abort."""
+    """Where the sleeve stood after the last abort, in mm from neutral, negative towards first and
+    crawl; None without an abort."""
     return outcome.halt_position_m / MM if outcome.aborts else None
 
 
