@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import meshpoint
 from meshpoint import api
+from meshpoint.gearbox.keys import field_docs
 from meshpoint.testbench.help.reference import GENERATED
 
 HEAD: Final = f"""\
@@ -55,7 +56,12 @@ def _class(name: str, kind: type[Any]) -> Iterator[str]:
     if "__init__" in vars(kind) and not _is_plain(kind):
         yield f"`{name}{_signature(kind.__init__)}`\n"
     fields = getattr(kind, "_fields", None) or tuple(getattr(kind, "__dataclass_fields__", ()))
-    if fields:
+    docs = field_docs(kind)
+    if fields and docs.keys() >= set(fields):
+        yield "Fields:\n"
+        yield from (f"- `{field}`: {docs[field]}" for field in fields)
+        yield "\nWith these:\n" if any(_members(kind)) else ""
+    elif fields:
         yield f"Fields: {', '.join(f'`{field}`' for field in fields)}.\n"
     for member, value in _members(kind):
         if isinstance(value, property):

@@ -36,7 +36,7 @@ class ShiftFigures:
     delay_ms: float | None = None
     """From activation to contact, by the rig's truth; None after more than one attempt."""
     attempts: int = 0
-    """Times a sleeve was fired and not aborted."""
+    """Times a sleeve was fired; a firing that was recalled or aborted does not count."""
     aborts: int = 0
     """Times a sleeve on its way was stopped short of the teeth."""
     halt_mm: float | None = None
