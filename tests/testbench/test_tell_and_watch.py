@@ -256,6 +256,13 @@ def test_the_air_line_shows_what_the_sensors_say(clutch: float, brake_pa: float)
     assert f"clutch {100 * clutch:3.0f} % closed" in text
 
 
+def test_a_sleeve_that_stands_before_the_teeth_is_in_the_picture_s_gear_line() -> None:
+    panel = Panel(load_sheet(SHEET), "log")
+    status = ControllerStatus(state=ControllerState.HALTED, current_gear=0, target_gear=10)
+    panel.receive(0.0, Transmitter(Node.TRANSMISSION_CONTROL).encode(status))
+    assert "gear   N -> 10  waiting before the teeth" in "\n".join(picture(panel))
+
+
 def test_a_silent_bus_lets_messages_grow_old_and_red() -> None:
     panel = Panel(load_sheet(SHEET), "bus")
     rig, controller = Transmitter(Node.GEARBOX_IO), Transmitter(Node.TRANSMISSION_CONTROL)
