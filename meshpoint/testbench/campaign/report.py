@@ -100,10 +100,12 @@ def _size(runs: int) -> list[str]:
 
 
 def _strategies(values: dict[str, Any]) -> str:
-    head: list[Cell] = [("strategy", ""), *((title, NUMBER_CLASS) for title in CELLS)]
+    """A column a strategy, a line a figure: there are more figures than a page is wide."""
+    strategies = values["strategies"]
+    head: list[Cell] = [("", ""), *((name, NUMBER_CLASS) for name in strategies)]
     rows = [
-        _line(name, [cell(figures) for cell in CELLS.values()])
-        for name, figures in values["strategies"].items()
+        _line(title, [cell(figures) for figures in strategies.values()])
+        for title, cell in CELLS.items()
     ]
     return table(head, rows)
 

@@ -147,4 +147,4 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "phase sd deg": lambda f: number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),
 }
-"""A line of the table each, and a column of the page's."""
+"""A line of the table each, here and on the page."""
