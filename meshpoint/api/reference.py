@@ -47,7 +47,8 @@ def _entries() -> Iterator[str]:
             yield f"## `{name}`\n\n{_text(value)}\n\n`{name}{_signature(value)}`\n"
 
 
-def _class(name: str, kind: type[Any]) -> Iterator[str]:
+def _class(name: str, kind: type) -> Iterator[str]:
+    docs = field_docs(kind)
     yield f"## class `{name}`\n\n{_text(kind)}\n"
     if issubclass(kind, enum.Enum):
         members = ", ".join(f"`{member.name}`" for member in kind)
@@ -56,7 +57,6 @@ def _class(name: str, kind: type[Any]) -> Iterator[str]:
     if "__init__" in vars(kind) and not _is_plain(kind):
         yield f"`{name}{_signature(kind.__init__)}`\n"
     fields = getattr(kind, "_fields", None) or tuple(getattr(kind, "__dataclass_fields__", ()))
-    docs = field_docs(kind)
     if fields and docs.keys() >= set(fields):
         yield "Fields:\n"
         yield from (f"- `{field}`: {docs[field]}" for field in fields)
