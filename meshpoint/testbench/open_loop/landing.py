@@ -39,6 +39,7 @@ from meshpoint.testbench.open_loop.recorded_trajectory import (
     Seen,
     last_release_us,
 )
+from meshpoint.testbench.results.states import state_words
 from meshpoint.units import DEG, RPM, US
 
 NORMALS: Final = 7 + PARAMETERS
@@ -166,8 +167,8 @@ class PartedController:
             return ""
         if state not in MODELLED or self.model is None:
             return (
-                f"the trajectories part while {state.name.lower().replace('_', ' ')}: clutch, "
-                "engine and old gear have no model here"
+                f"the trajectories part while {state_words(state)}: clutch, engine, old "
+                "gear and a sleeve before the teeth have no model here"
             )
         return ""
 
