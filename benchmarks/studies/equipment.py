@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 from benchmarks.studies.equipment_truth import ParkedSleeve, Parking, WheelRings, WheelRingTeeth
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.sheet import SleeveActuator
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
@@ -62,24 +63,28 @@ class EquippedRun:
         for _ in range(self.learning):
             bench.shift()
         bench.change_conditions(drawn.judged)
-        self._equip(bench)
+        source = self._source(bench)
         conditions = Conditions(self.sheet, bench.as_built)
         records, aborts = [], 0
         for number, planned in enumerate(drawn.plan[self.learning :]):
+            bench.prepare()
+            gear = DRIVE_GEARS[planned.to].main
+            # With a source every phase counts as known.
+            is_known = bench.controller.observer.references.known(gear)
+            bench.controller.sequence.predictor_source = source if is_known else None
             row = bench.shift()
             key = {"sweep": "", "sweep_value": 0.0, "seed": self.seed, "shift": number}
             records.append(conditions.record(planned, row, strategy=str(self.equipment), **key))
             aborts += 0 if row is None else row.aborts
         return EquippedShifts(records, aborts)
 
-    def _equip(self, bench: ClosedLoop) -> None:
+    def _source(self, bench: ClosedLoop) -> PredictorSource | None:
         controller, truth = bench.controller, bench.rig_truth
         if self.equipment is Equipment.PARKED_SLEEVE:
-            source = ParkedSleeve(self.sheet, truth, controller.sequence, self.parking, self.seed)
-            controller.take_predictor_from(source)
-        elif self.equipment is Equipment.WHEEL_RINGS:
-            rings = WheelRings(self.sheet, truth, controller.observer, self.rings, self.seed)
-            controller.take_predictor_from(rings)
+            return ParkedSleeve(self.sheet, truth, controller.sequence, self.parking, self.seed)
+        if self.equipment is Equipment.WHEEL_RINGS:
+            return WheelRings(self.sheet, truth, controller.observer, self.rings, self.seed)
+        return None
 
 
 def with_stroke(sheet: GearboxSheet, delay_s: float) -> GearboxSheet:
@@ -87,15 +92,12 @@ def with_stroke(sheet: GearboxSheet, delay_s: float) -> GearboxSheet:
     own delay stays; all of a sleeve's ways go faster."""
     sleeve = sheet.sleeve
     faster = (sleeve.delay_s - sleeve.valve_delay_s) / (delay_s - sleeve.valve_delay_s)
-    return _with(sheet, replace(sleeve, delay_s=delay_s, speed_m_s=faster * sleeve.speed_m_s))
+    wider = replace(sleeve, delay_s=delay_s, speed_m_s=faster * sleeve.speed_m_s)
+    return replace(sheet, sleeve=wider)
 
 
 def with_valve_delay(sheet: GearboxSheet, valve_delay_s: float) -> GearboxSheet:
     """A truck whose valves switch so long after their current, as wide as today's."""
     sleeve = sheet.sleeve
     delay_s = sleeve.delay_s - sleeve.valve_delay_s + valve_delay_s
-    return _with(sheet, replace(sleeve, delay_s=delay_s, valve_delay_s=valve_delay_s))
-
-
-def _with(sheet: GearboxSheet, sleeve: SleeveActuator) -> GearboxSheet:
-    return replace(sheet, sleeve=sleeve)
+    return replace(sheet, sleeve=replace(sleeve, delay_s=delay_s, valve_delay_s=valve_delay_s))

@@ -46,9 +46,8 @@ class Trucks:
     profile: str = text("profile", *Profile)
     gearboxes: int = count("gearboxes", 2, 10_000)
     shifts: int = count("shifts", 1, 1000)
-    learning_shifts: int = count("learning_shifts", 6, 1000)
-    """Of each gearbox, that do not count: after fewer a phase may not be known, and what works on
-    the rig's truth takes every phase as known."""
+    learning_shifts: int = count("learning_shifts", 0, 1000)
+    """Of each gearbox, that do not count."""
     stroke_s: float = quantity("stroke_ms", 20.0, 100.0, MS)
     """Of the wide valve, from current to contact."""
     valve_delay_s: float = quantity("valve_delay_ms", 1.0, 12.0, MS)
