@@ -8,7 +8,9 @@ two valves, the air in its two chambers, and the tooth that it meets.
 
 from __future__ import annotations
 
+import math
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -26,19 +28,20 @@ from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, MainGear
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE
+from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import BAR, DEG, MM
 
-SEED: Final = 1
+SEED: Final = 11
 START: Final = 8
 LEARNED: Final = (10, 12)
 SHIFTS: Final = (10, 12, 10, 12, 10, 12)
 """Into these gears, once the phases of `LEARNED` are known; the last one is drawn."""
-LOOK_US: Final = 200
+SAMPLE_US: Final = 200
 BEFORE_MS, AFTER_MS = 12.0, 28.0
 """Drawn before the first firing and after the contact."""
 
 
-class Look(NamedTuple):
+class Sample(NamedTuple):
     """The rig's truth at an instant, seen in the direction of the gear."""
 
     time_us: float
@@ -49,40 +52,48 @@ class Look(NamedTuple):
     against_pa: float
     phase_rad: float
     contact_us: float
-    """When the sleeve would meet the gear, if its valve went on now or has just gone on."""
+    """When the sleeve would meet the gear, if its valve has just gone on; else not a number."""
 
 
 class WatchedRig(AroundCore[RigCore]):
-    """A rig that is looked at every fifth of a millisecond while a gear is watched."""
+    """A rig that is sampled every fifth of a millisecond while a gear is watched."""
 
-    gear: MainGear | None = None
-
-    def __init__(self, core: RigCore) -> None:
+    def __init__(self, core: RigCore, sheet: GearboxSheet) -> None:
         super().__init__(core)
-        self.looks: list[Look] = []
-        self._look_us = 0
+        self.sheet = sheet
+        self.samples: list[Sample] = []
+        self._gear: MainGear | None = None
+        self._sample_us = 0
+
+    def watch(self, gear: MainGear) -> None:
+        """From now on; what was seen before is forgotten."""
+        self._gear = gear
+        self.samples.clear()
 
     @property
     def next_step_us(self) -> int:
-        """The rig's own next step, or the next look."""
+        """The rig's own next step, or the next sample."""
         due_us = self._core.next_step_us
-        return due_us if self.gear is None else min(due_us, self._look_us)
+        return due_us if self._gear is None else min(due_us, self._sample_us)
 
     def step(self, now_us: int) -> Step:
-        """The rig's step, then a look at it."""
+        """The rig's step, then a sample of it."""
         step = self._core.step(now_us)
-        self._look_us = now_us + LOOK_US
-        if self.gear is not None:
-            self.looks.append(_look(self._core.truth, self.gear))
+        self._sample_us = now_us + SAMPLE_US
+        if self._gear is not None:
+            was_on = bool(self.samples) and self.samples[-1].towards_coil
+            self.samples.append(_sample(self._core.truth, self._gear, was_on=was_on))
         return step
 
 
-def _look(truth: TruckTruth, gear: MainGear) -> Look:
+def _sample(truth: TruckTruth, gear: MainGear, *, was_on: bool) -> Sample:
     where, time_us = SLEEVE_OF_MAIN[gear], truth.time_us
     axis = truth.axis(where.sleeve, time_us)
     own = 0 if where.direction > 0 else 1
-    contact_us, _ = truth.expected_contact_us(gear, time_us)
-    return Look(
+    contact_us = math.nan
+    if axis.coils[own] and not was_on:
+        contact_us = truth.expected_contact_us(gear, time_us)[0] + truth.clock_start_us
+    return Sample(
         time_us + truth.clock_start_us,
         axis.position_m * where.direction,
         axis.coils[own],
@@ -90,18 +101,18 @@ def _look(truth: TruckTruth, gear: MainGear) -> Look:
         axis.pressures_pa[own],
         axis.pressures_pa[1 - own],
         truth.phase_rad(gear),
-        contact_us + truth.clock_start_us,
+        contact_us,
     )
 
 
 class Seen(NamedTuple):
     """The shift that is drawn, from before its last firing from neutral on."""
 
-    row: meshpoint.ShiftRow
+    row: ShiftRow
     sheet: GearboxSheet
-    looks: dict[str, Vector]
+    samples: dict[str, Vector]
     ms: Vector
-    """Of each look, since the first firing that is drawn."""
+    """Of each sample, since the first firing that is drawn."""
     fired_ms: float
     aborted_ms: float
     held_ms: float
@@ -112,39 +123,43 @@ class Seen(NamedTuple):
     contact_ms: float
 
 
-def watched_shift() -> Seen:
-    """Makes the shifts, and looks at the last one."""
-    setup = setup_of(None, "truck", SEED, "typical", (), ControllerSettings())
-    rig = WatchedRig(RigCore(setup.sheet, rig_settings(setup, START)))
-    with meshpoint.Bench(seed=SEED, as_built="typical", gear=START, rig=rig) as bench:
+def watched_shifts(seed: int, gears: Sequence[int]) -> Iterator[tuple[ShiftRow, WatchedRig]]:
+    """Makes one shift after the other, and what was seen of each."""
+    setup = setup_of(None, "truck", seed, "typical", (), ControllerSettings())
+    rig = WatchedRig(RigCore(setup.sheet, rig_settings(setup, START)), setup.sheet)
+    with meshpoint.Bench(seed=seed, as_built="typical", gear=START, rig=rig) as bench:
         bench.learn(*LEARNED)
-        for gear in SHIFTS[:-1]:
-            bench.shift(gear)
-        rig.gear = DRIVE_GEARS[SHIFTS[-1]].main
-        row = bench.shift(SHIFTS[-1])
-    every = [np.array(values) for values in zip(*rig.looks, strict=True)]
-    return _cut(row, setup.sheet, dict(zip(Look._fields, every, strict=True)))
+        for gear in gears:
+            rig.watch(DRIVE_GEARS[gear].main)
+            yield bench.shift(gear), rig
 
 
-def _cut(row: meshpoint.ShiftRow, sheet: GearboxSheet, looks: dict[str, Vector]) -> Seen:
+def watched_shift() -> Seen:
+    """The last shift."""
+    *_, (row, rig) = watched_shifts(SEED, SHIFTS)
+    every = [np.array(values) for values in zip(*rig.samples, strict=True)]
+    return _cut(row, rig.sheet, dict(zip(Sample._fields, every, strict=True)))
+
+
+def _cut(row: ShiftRow, sheet: GearboxSheet, samples: dict[str, Vector]) -> Seen:
     """The last firing, the abort and the firing before it, and what is drawn of them."""
-    us = looks["time_us"]
-    fired, again = us[_turns(looks["towards_coil"], on=True)][-2:]
-    aborted = us[_turns(looks["towards_coil"], on=False)][-2]
-    held = us[_turns(looks["against_coil"], on=False)][-1]
+    us = samples["time_us"]
+    fired, again = us[_turns(samples["towards_coil"], on=True)][-2:]
+    aborted = us[_turns(samples["towards_coil"], on=False)][-2]
+    held = us[_turns(samples["against_coil"], on=False)][-1]
     if row.contact_us is None or row.contact != "gap" or not fired < aborted < held < again:
         raise SystemExit(f"no sleeve that is stopped and fired again: {row}")
     contact = us[np.flatnonzero(us % 2**32 <= row.contact_us)[-1]]
     drawn = (us > fired - 1e3 * BEFORE_MS) & (us < contact + 1e3 * AFTER_MS)
-    missed = looks["contact_us"][np.flatnonzero(us >= fired)[0]]
+    missed = samples["contact_us"][np.flatnonzero(us >= fired)[0]]
     moments = (fired, aborted, held, again, missed, contact)
-    kept = {name: values[drawn] for name, values in looks.items()}
+    kept = {name: values[drawn] for name, values in samples.items()}
     since = [float(moment - fired) / 1e3 for moment in moments]
     return Seen(row, sheet, kept, (us[drawn] - fired) / 1e3, *since)
 
 
 def _turns(coil: Vector, *, on: bool) -> Vector:
-    """The looks at which a coil has just gone on, or off."""
+    """The samples at which a coil has just gone on, or off."""
     return np.flatnonzero(np.diff(coil.astype(int)) == (1 if on else -1)) + 1
 
 
@@ -194,7 +209,7 @@ def _sleeve(axis: Any, seen: Seen) -> None:
         seen.ms[0] + 1.0, teeth_mm + 0.25, "the gear's teeth", color=GREY, va="bottom",
         fontsize="small",
     )  # fmt: skip
-    place_mm = seen.looks["position_m"] / MM
+    place_mm = seen.samples["position_m"] / MM
     axis.plot(seen.ms, place_mm, color=INK, lw=2.0)
     stands = (seen.ms > seen.held_ms) & (seen.ms < seen.again_ms)
     stands_mm = float(place_mm[stands][-1])
@@ -210,7 +225,7 @@ def _sleeve(axis: Any, seen: Seen) -> None:
 
 def _valves(axis: Any, seen: Seen) -> None:
     for lane, (name, colour) in enumerate((("against_coil", ORANGE), ("towards_coil", BLUE))):
-        on = seen.looks[name].astype(bool)
+        on = seen.samples[name].astype(bool)
         axis.fill_between(seen.ms, lane, lane + 0.7, where=on, color=colour, lw=0, step="post")
     axis.set_yticks([0.35, 1.35], ["against it", "towards the gear"])
     axis.set_ylim(-0.2, 1.9)
@@ -223,7 +238,7 @@ def _chambers(axis: Any, seen: Seen) -> None:
         ("towards_pa", BLUE, "chamber that pushes towards the gear"),
         ("against_pa", ORANGE, "chamber that pushes against it"),
     ):
-        axis.plot(seen.ms, (seen.looks[name] - base_pa) / BAR, color=colour, lw=1.8, label=label)
+        axis.plot(seen.ms, (seen.samples[name] - base_pa) / BAR, color=colour, lw=1.8, label=label)
     axis.set_ylabel("air in the\nchambers, bar")
     axis.legend(loc="upper left", fontsize="small", frameon=False)
 
@@ -231,7 +246,7 @@ def _chambers(axis: Any, seen: Seen) -> None:
 def _phase(axis: Any, seen: Seen) -> None:
     pitch = seen.sheet.dog.pitch_rad / DEG
     half_gap = seen.sheet.dog.backlash_rad / DEG / 2.0
-    phase = np.unwrap(seen.looks["phase_rad"] / DEG, period=pitch)
+    phase = np.unwrap(seen.samples["phase_rad"] / DEG, period=pitch)
     phase -= pitch * np.round(np.interp(seen.contact_ms, seen.ms, phase) / pitch)
     low, high = float(phase.min()) - 0.3 * pitch, float(phase.max()) + 0.3 * pitch
     for turn in range(int(low // pitch) - 1, int(high // pitch) + 2):

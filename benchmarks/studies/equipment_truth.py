@@ -60,7 +60,7 @@ class ParkedSleeve:
 
     As the controller commits a firing from neutral, the sleeve is put at the place to which a first
     stroke would have taken it during the braking: there, at rest, both chambers vented. How long
-    the second stroke takes from there the controller is told by the rig, but not its chance."""
+    the second stroke takes from there the controller has from the rig, but not its chance."""
 
     def __init__(
         self,
@@ -119,8 +119,8 @@ class ParkedSleeve:
 class WheelRings:
     """The speed of the driven wheels, by edges of their rings.
 
-    The cloud of drivelines is told the wheels' speed at its newest edges of the main shaft: the
-    true one, off by what the rings' teeth and the time from step to step leave."""
+    The particles of the driveline's filter get the wheels' speed at its newest edges of the main
+    shaft: the true one, off by what the rings' teeth and the time from step to step leave."""
 
     def __init__(
         self,

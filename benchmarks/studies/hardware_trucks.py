@@ -29,7 +29,8 @@ from benchmarks.studies.record import (
 )
 from meshpoint.controller.sleeve.cylinder import FOREVER, LAW
 from meshpoint.controller.sleeve.law import SleeveLaw
-from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.tables import count, group, quantity, text
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.campaign.columns import Shifts
@@ -66,15 +67,15 @@ class Offer(NamedTuple):
 
 
 WIDE_RISK = (
-    "the teeth meet faster and with more air behind them, so a miss strikes harder; less time is "
-    "left in which a sleeve can still be stopped, and none where the stroke is shorter than two "
-    "steps; it takes a larger valve, port and pipe, whose spool is as a rule slower, and a leak or "
-    "a valve that stays open moves a sleeve sooner than the controller can answer"
+    "the teeth meet faster and with more air behind them, so a miss strikes harder; a sleeve is "
+    "past stopping before a step has seen it move; a larger valve, port and pipe, whose spool is "
+    "as a rule slower; a leak, or a valve that stays open, has the sleeve in the teeth before the "
+    "controller can answer"
 )
 QUICK_RISK = (
-    "it is a small fast valve of industry, not proven in a gearbox's heat, oil, water and dirt, "
-    "with a higher current and less force at the spool to break it free after a long rest; a false "
-    "switch moves the sleeve sooner, and what the guard may withdraw in time shrinks by as much"
+    "a small fast valve of industry, not proven in a gearbox's heat, oil, water and dirt, with a "
+    "higher current and less force to break its spool free after a long rest; a false switch "
+    "moves the sleeve sooner, and the guard has as much less time to withdraw it"
 )
 PARKED_RISK = (
     "a sleeve stands before turning teeth, held by friction alone, on every shift: a leaking "
@@ -103,16 +104,15 @@ def offers(trucks: Trucks) -> tuple[Offer, ...]:
         Offer(
             Equipment.WIDE_VALVE,
             wide,
-            f"valves of {_conductance(wide):.2g} m3/(s Pa) instead of {_conductance(sheet):.2g}: a "
-            f"stroke of {trucks.stroke_s / MS:g} ms, teeth met at "
-            f"{wide.sleeve.contact_speed_m_s:.2f} m/s",
+            f"valves of {_conductance(wide):.2g} m3/(s Pa) instead of {_conductance(sheet):.2g}: "
+            f"{_stroke(wide)}; today {_stroke(sheet)}",
             WIDE_RISK,
         ),
         Offer(
             Equipment.QUICK_VALVE,
             quick,
             f"valves that switch after {trucks.valve_delay_s / MS:g} ms instead of "
-            f"{sheet.sleeve.valve_delay_s / MS:g}: a stroke of {quick.sleeve.delay_s / MS:g} ms",
+            f"{sheet.sleeve.valve_delay_s / MS:g}: {_stroke(quick)}; today {_stroke(sheet)}",
             QUICK_RISK,
         ),
         Offer(
@@ -137,6 +137,17 @@ def _conductance(sheet: GearboxSheet) -> float:
     law = SleeveLaw(sheet)
     flat = law.flat(law.prior(sheet).mean, sheet.air.supply_gauge_pa, FOREVER)
     return float(flat.view(LAW)["feed"][0, 0])
+
+
+def _stroke(sheet: GearboxSheet) -> str:
+    """A stroke from neutral by the sheet."""
+    sleeves, gear = Sleeves(sheet), MainGear.FIRST
+    stroke, last_us = sleeves.from_neutral(gear), sleeves.abort_after_us(gear)
+    return (
+        f"a stroke of {stroke.contact_us / 1e3:.0f} ms that meets the teeth at "
+        f"{stroke.contact_speed_m_s:.2f} m/s and {stroke.force_n:.0f} N, and can be stopped until "
+        f"{(stroke.contact_us - last_us) / 1e3:.0f} ms before that"
+    )
 
 
 def _run(given: Given[Any], offer: Offer, number: int) -> EquippedRun:
