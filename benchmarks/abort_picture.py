@@ -21,7 +21,7 @@ import meshpoint
 from meshpoint.api.bench import rig_settings
 from meshpoint.api.choices import setup_of
 from meshpoint.bus.core import AroundCore, Step
-from meshpoint.controller.records import Vector
+from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, MainGear
@@ -80,9 +80,10 @@ class WatchedRig(AroundCore[RigCore]):
         """The rig's step, then a sample of it."""
         step = self._core.step(now_us)
         self._sample_us = now_us + SAMPLE_US
-        if self._gear is not None:
+        truth = self._core.truth
+        if self._gear is not None and isinstance(truth, TruckTruth):
             was_on = bool(self.samples) and self.samples[-1].towards_coil
-            self.samples.append(_sample(self._core.truth, self._gear, was_on=was_on))
+            self.samples.append(_sample(truth, self._gear, was_on=was_on))
         return step
 
 
@@ -162,7 +163,7 @@ def _last_before(times_us: Vector, time_us: float) -> float:
     return float(times_us[times_us < time_us][-1])
 
 
-def _turns(coil: Vector, *, on: bool) -> Vector:
+def _turns(coil: Vector, *, on: bool) -> Integers:
     """The samples at which a coil has just gone on, or off."""
     return np.flatnonzero(np.diff(coil.astype(int)) == (1 if on else -1)) + 1
 

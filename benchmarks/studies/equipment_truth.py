@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.motion.lash_motion import WHEELS
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.planning.gear_predictor import GearPredictor
@@ -21,6 +22,7 @@ from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN
+from meshpoint.rig_sim.truck.driven_engagement import DrivenEngagement
 from meshpoint.rig_sim.truck.driven_sleeve import DrivenSleeve
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.units import MM, SECOND_US, TURN
@@ -74,12 +76,15 @@ class ParkedSleeve:
         self._parking = parking
         self._rng = np.random.Generator(np.random.PCG64([seed, PARK_STREAM]))
         self._place_m = self._drawn_m()
+        engagement = truth._world.engagement
+        if not isinstance(engagement, DrivenEngagement):
+            raise TypeError("a sleeve is parked only between two chambers: sleeve.model = 1")
+        self._engagement = engagement
 
     def __call__(self, predictor: GearPredictor) -> GearPredictor:
         """The predictor of a sleeve that is fired from there."""
         where = SLEEVE_OF_MAIN[predictor.gear]
-        engagement = self._truth._world.engagement
-        sleeve: DrivenSleeve = engagement.sleeves[where.sleeve]
+        sleeve = self._engagement.sleeves[where.sleeve]
         if abs(sleeve.position_m(self._truth.time_us)) > IN_NEUTRAL_M:
             return predictor
         if self._sequence.state is ControllerState.ENGAGING:
@@ -107,7 +112,7 @@ class ParkedSleeve:
     def _delay_s(self, gear: MainGear) -> tuple[float, float]:
         """From the coil to contact, mean and standard deviation, if it were fired now."""
         direction = SLEEVE_OF_MAIN[gear].direction
-        engagement, time_us = self._truth._world.engagement, self._truth.time_us
+        engagement, time_us = self._engagement, self._truth.time_us
         mean_s, sd_s = engagement.valves.expected_s(VALVE_OF_MAIN[gear], time_us)
         parked = copy.deepcopy(engagement.sleeves[SLEEVE_OF_MAIN[gear].sleeve])
         parked.spools.clear()
@@ -141,8 +146,10 @@ class WheelRings:
     def __call__(self, predictor: GearPredictor) -> GearPredictor:
         """The predictor whose main shaft hangs on wheels that are seen."""
         tracker, range_ = self._observer._main, self._observer.view.range_
+        if not isinstance(tracker, MainTracker) or not predictor.main.is_by_cloud:
+            return predictor
         cloud = tracker._cloud
-        if cloud is None or range_ is None or not predictor.main.is_by_cloud:
+        if cloud is None or range_ is None:
             return predictor
         propeller_rad_s = self._wheels_rad_s(cloud.time_us)
         cloud._x[WHEELS] = propeller_rad_s / self._sheet.range_mesh(range_).ratio
