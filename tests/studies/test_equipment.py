@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.studies import hardware_trucks
 from benchmarks.studies.equipment import (
     Equipment,
     EquippedRun,
@@ -15,12 +16,16 @@ from benchmarks.studies.equipment import (
     with_valve_delay,
 )
 from benchmarks.studies.equipment_truth import Parking, WheelRings, WheelRingTeeth
+from benchmarks.studies.record import StudyJob
+from benchmarks.studies.registry import load
+from benchmarks.studies.settings import load_study_settings
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import run_one
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 
@@ -74,6 +79,27 @@ def test_a_parked_sleeve_has_less_of_its_way_left() -> None:
     assert len(delays) == 2
     for delay_ms in delays:
         assert 1e3 * TRUCK.sleeve.valve_delay_s + 5.0 < delay_ms < 35.0
+
+
+def test_each_line_has_intervals_beside_today_s_and_says_what_it_risks() -> None:
+    gap, missed = shifts(Equipment.TODAY).records
+    missed = replace(missed, contact="tooth", delay_ms=-200.0)
+    start = load_study_settings(None).given(load("hardware"))
+    start = replace(start, own=replace(start.own, trucks=replace(start.own.trucks, gearboxes=3)))
+    jobs = hardware_trucks.jobs(start)
+    results = {job: EquippedShifts([_of(one, job) for one in (gap, missed)], 2) for job in jobs}
+    found = hardware_trucks.compared(replace(start, results=results))
+    assert len(found.statements) == 4
+    for statement in found.statements:
+        assert statement.ours.count("0.500 (") == 2  # ours and today's, with their intervals
+        assert "6 aborts, 3 unmeant contacts, 0 given up" in statement.ours
+        assert statement.reason.startswith("risk: ")
+    assert [row[0] for row in found.table.rows] == list(Equipment)
+
+
+def _of(record: JudgedShift, job: StudyJob) -> JudgedShift:
+    assert isinstance(job, EquippedRun)
+    return replace(record, seed=job.seed, strategy=str(job.equipment))
 
 
 @pytest.mark.long
