@@ -277,7 +277,7 @@ def _chart(strategies: dict[str, Any]) -> Chart:
     gaps = [100.0 * each["first_contact_gap"]["rate"] for each in every]
     ramps = [each["after_ramp_ms"]["mean"] for each in every]
     return Chart(
-        "trucks",
+        "equipment",
         "What other valves, a parked sleeve and rings on the wheels would buy",
         "",
         (

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.studies import hardware_trucks
+from benchmarks.studies.draw import write_files
 from benchmarks.studies.equipment import (
     Equipment,
     EquippedRun,
@@ -16,7 +18,7 @@ from benchmarks.studies.equipment import (
     with_valve_delay,
 )
 from benchmarks.studies.equipment_truth import Parking, WheelRings, WheelRingTeeth
-from benchmarks.studies.record import StudyJob
+from benchmarks.studies.record import Finding, StudyJob
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
 from meshpoint.controller.planning.gear_predictor import GearPredictor
@@ -81,7 +83,7 @@ def test_a_parked_sleeve_has_less_of_its_way_left() -> None:
         assert 1e3 * TRUCK.sleeve.valve_delay_s + 5.0 < delay_ms < 35.0
 
 
-def test_each_line_has_intervals_beside_today_s_and_says_what_it_risks() -> None:
+def test_each_line_has_intervals_beside_today_s_and_says_what_it_risks(tmp_path: Path) -> None:
     gap, missed = shifts(Equipment.TODAY).records
     missed = replace(missed, contact="tooth", delay_ms=-200.0)
     start = load_study_settings(None).given(load("hardware"))
@@ -95,6 +97,8 @@ def test_each_line_has_intervals_beside_today_s_and_says_what_it_risks() -> None
         assert "6 aborts, 3 unmeant contacts, 0 given up" in statement.ours
         assert statement.reason.startswith("risk: ")
     assert [row[0] for row in found.table.rows] == list(Equipment)
+    written = write_files(Finding((), {}, (found.chart,), (found.table,)), tmp_path)
+    assert all((tmp_path / name).stat().st_size > 0 for name in written)
 
 
 def _of(record: JudgedShift, job: StudyJob) -> JudgedShift:
