@@ -80,11 +80,11 @@ QUICK_RISK = (
     "moves the sleeve sooner, and the guard has as much less time to withdraw it"
 )
 PARKED_RISK = (
-    "a sleeve stands before turning teeth, held by friction alone, on every shift: a leaking "
-    "valve, a shock of the road or a first stroke too far brings it into teeth that are braked; "
-    "the brake works while it stands there, which the guard forbids today; worn friction holds it "
-    "less, and the first stroke has to be learned. Here it is put there by the rig's truth, and "
-    "its delay from there is the rig's own: finding the place costs nothing and never fails"
+    "a sleeve stands before turning teeth, held by friction alone, on every shift and while the "
+    "brake works on them: a leaking valve, a shock of the road or a first stroke too far brings it "
+    "in; worn friction holds it less, and the first stroke has to be learned. Here it is put there "
+    "by the rig's truth, and its delay from there is the rig's own: finding the place costs "
+    "nothing and never fails"
 )
 RINGS_RISK = (
     "two more sensors among water, salt and the brakes' heat, metres of cable and connectors at a "
