@@ -52,7 +52,3 @@ class Pulse(NamedTuple):
     m: float
     """Where it rests."""
     sd_m: float
-    parted_us: int
-    """When it passes the faces of the teeth that it leaves, expected; `on_us` where it is out."""
-    earliest_parted_us: int
-    """The same for a sleeve faster by 2.5 standard deviations."""

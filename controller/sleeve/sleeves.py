@@ -20,7 +20,7 @@ from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
 from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_REST, TO_TURN
 from meshpoint.controller.sleeve.fit import slopes
-from meshpoint.controller.sleeve.law import SleeveLaw
+from meshpoint.controller.sleeve.law import ON, SleeveLaw
 from meshpoint.controller.sleeve.law_record import known_from, law_record
 from meshpoint.controller.sleeve.motion import Switch, Way
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
@@ -81,10 +81,15 @@ class Sleeves:
         self._law = SleeveLaw(sheet)
         prior = self._law.prior(sheet)
         self._sheet_pa = sheet.air.supply_gauge_pa
-        self._least_s = sheet.sleeve.valve_delay_s
+        sleeve = sheet.sleeve
+        self._least_s = sleeve.valve_delay_s
+        way_s = (sleeve.stroke_m - sleeve.to_contact_m) / sleeve.speed_m_s
+        self._least_out_us = SECOND_US * max(0.0, way_s - sleeve.delay_limit_s)
+        """A gear's teeth are out no sooner after its sleeve begins to move, by the data sheet: the
+        guard goes by it too."""
         self.supply_pa = self._sheet_pa
         """Present supply pressure, gauge."""
-        self._valve_us = SECOND_US * sheet.sleeve.valve_delay_s
+        self._valve_us = SECOND_US * sleeve.valve_delay_s
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
@@ -143,12 +148,12 @@ class Sleeves:
         for gear, side in _SIDES.items():
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
 
-    def contact_us(self, gear: MainGear) -> float | None:
-        """When the sleeve last came to this gear's teeth, as measured; None before it did."""
+    def contact_us(self, gear: MainGear, fired_us: int) -> float | None:
+        """When the sleeve that was fired then came to this gear's teeth, as measured; None before
+        it did."""
         side = _SIDES[gear]
-        contact = self._contacts[side.sleeve]
-        is_here = contact is not None and contact.direction == side.direction
-        return contact.measured_us if contact is not None and is_here else None
+        met_us = self._sleeves[side.sleeve].met_us.get(side.direction)
+        return met_us if met_us is not None and met_us > fired_us else None
 
     @property
     def _supply_pa(self) -> float:
@@ -299,6 +304,16 @@ class Sleeves:
             return None
         return self._pulse(tracked, sleeve, at_us, 1 if left.m < 0.0 else -1)
 
+    def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
+        """From a valve's current until the sleeve that it pulls begins to move, as expected, and
+        until the teeth that part then may be out, at the earliest. Those of splitter and range,
+        which are none of this room's, part as their sleeve moves."""
+        side = None if valve is None else _OF_VALVE.get(valve)
+        if side is None:
+            return self._valve_us, self._valve_us
+        moves_us = SECOND_US * float(self._sleeves[side.sleeve].known.mean[ON + side.valve])
+        return moves_us, self._valve_us + self._least_out_us
+
     def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
         side = _SIDES[gear]
@@ -361,13 +376,11 @@ class Sleeves:
             ends_us.append(short_us)
         short_us = sum(ends_us) // 2
         way = self._pulsed(tracked, kept, valve, on_us, short_us)
-        parted = self._parting_us(tracked, kept, valve, direction, on_us, short_us, 0.0)
-        earliest = self._parting_us(tracked, kept, valve, direction, on_us, short_us, SURE)
         switch = Switch(on_us, valve, True)
         sd_m = 2.0 * self._law.face_m * tracked.sd_of(switch) / max(1e-6, short_us * 1e-6)
         name = _VALVES[sleeve, valve]
         off_us, arrival_us = on_us + short_us, round(way.end_us)
-        return Pulse(name, on_us, off_us, arrival_us, way.m, sd_m, parted, earliest)
+        return Pulse(name, on_us, off_us, arrival_us, way.m, sd_m)
 
     def _pulsed(
         self, tracked: TrackedSleeve, kept: list[Switch], valve: int, on_us: int, pulse_us: int
@@ -376,29 +389,6 @@ class Sleeves:
         return tracked.ahead(
             self._supply_pa, ending=TO_REST, until_us=on_us + RESTS_US, switches=kept + pulse
         )
-
-    def _parting_us(
-        self,
-        tracked: TrackedSleeve,
-        kept: list[Switch],
-        valve: int,
-        direction: int,
-        on_us: int,
-        pulse_us: int,
-        sds: float,
-    ) -> int:
-        pulse = [Switch(on_us, valve, True), Switch(on_us + pulse_us, valve, False)]
-        way = tracked.ahead(
-            self._supply_pa,
-            ending=TO_LEVEL,
-            until_us=on_us + RESTS_US,
-            switches=kept + pulse,
-            level_m=-direction * self._law.face_m,
-            direction=float(direction),
-        )
-        if way.crossed_us is None:
-            return on_us
-        return round(way.crossed_us - sds * tracked.sd_of(pulse[0]) * SECOND_US)
 
     def _fired(self, tracked: TrackedSleeve, side: Side, fire_us: int) -> list[Switch]:
         """The switches so far, with the valve towards the gear on from then: what this replaces is

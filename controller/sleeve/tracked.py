@@ -51,6 +51,8 @@ STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
+SPEED_SAMPLES: Final = 4
+SLOWEST_M_S: Final = 0.02
 FIRST_FIT, LATER_FIT, LAST_FIT = 2, 1, 4
 """Iterations."""
 
@@ -113,6 +115,8 @@ class TrackedSleeve:
         """No tooth stands in its way, and the law has been right since it left its rest."""
         self.contact: Contact | None = None
         """The newest contact."""
+        self.met_us: dict[int, float] = {}
+        """When it last came to the teeth on either side, as measured; whatever the law says."""
 
     @property
     def known(self) -> Prior:
@@ -266,6 +270,8 @@ class TrackedSleeve:
             self._follow(track, supply_pa)
         else:
             self._go_on(track, supply_pa)
+            for direction in (-1, 1):
+                self._see_contact(track, direction)
         if self._is_over(track):
             self._settle(track, supply_pa)
 
@@ -321,7 +327,7 @@ class TrackedSleeve:
             iterations = LAST_FIT if touched is not None else FIRST_FIT
             left_m = self._fit(count, iterations, supply_pa)
         if touched is not None:
-            self._meet(touched, supply_pa)
+            self._meet(track, touched, supply_pa)
         elif (
             abs(left_m) > LOST_M
             or abs(self.at(track.newest_us, supply_pa).m - self.place_of(track.samples_m[0]))
@@ -406,20 +412,24 @@ class TrackedSleeve:
             self.joint[PARAMETERS + k, PARAMETERS + k] = self.switch_sd_s[one.valve] ** 2
         self.version += 1
 
-    def _meet(self, touched: int, supply_pa: float) -> None:
+    def _meet(self, track: SleeveTrack, touched: int, supply_pa: float) -> None:
         """It comes to a gear's teeth."""
         direction = 1 if self.place_of(self.movement.readings_m[touched]) > 0.0 else -1
-        fitted = self._way_in(direction, supply_pa)
-        measured_us = self._crossed_us(touched, direction, fitted)
+        fitted, is_explained = self._way_in(direction, supply_pa), self._is_explained
         valve = 0 if direction > 0 else 1
         fires = [one for one in self.switches if one.on and one.valve == valve]
         found = self.learned, self.late_s, self.joint
-        self._forget_movement()
+        if is_explained:
+            measured_us = self._see_contact(track, direction, fitted.speed_m_s)
+            self._forget_movement()
+        else:
+            self._forget_movement()
+            measured_us = self._see_contact(track, direction)
         expected = self._way_in(direction, supply_pa)
         if fires and measured_us is not None and expected.crossed_us is not None:
             chance = self.unknowns(self.switches)
             chance[PARAMETERS:] = 0.0
-            if self._is_explained:
+            if is_explained:
                 chance[:PARAMETERS] = found[0]
             explained = self._way_in(direction, supply_pa, chance).crossed_us
             self.contact = Contact(
@@ -429,7 +439,7 @@ class TrackedSleeve:
                 measured_us,
                 expected.crossed_us,
                 expected.crossed_us if explained is None else explained,
-                fitted.crossed_us if self._is_explained else None,
+                fitted.crossed_us if is_explained else None,
             )
         self.learned, self.late_s, self.joint = found
         readings = self.movement.readings_m
@@ -447,18 +457,23 @@ class TrackedSleeve:
             direction=float(direction),
         )
 
-    def _crossed_us(self, touched: int, direction: int, way: Way) -> float | None:
-        """The contact by the samples: where the sleeve comes near the teeth, then at the law's
-        speed."""
-        seen = self.movement
-        if touched == 0:
+    def _see_contact(
+        self, track: SleeveTrack, direction: int, speed_m_s: float = 0.0
+    ) -> float | None:
+        """The contact by the newest samples: where the sleeve comes near the teeth, then at the
+        law's speed; without one, as fast as it came there."""
+        level_m = direction * (self.law.face_m - SHORT_M)
+        reading_m = direction * float(_reading_m(self.learned, np.array(level_m)))
+        passed_us = track.crossing_us(reading_m, direction)
+        if passed_us is None:
             return None
-        level_m = self.law.face_m - SHORT_M
-        after = direction * self.place_of(seen.readings_m[touched])
-        before = direction * self.place_of(seen.readings_m[touched - 1])
-        back = (after - level_m) / max(after - before, 1e-9)
-        speed = way.speed_m_s if way.crossed_us is not None else (after - before) * 1e3
-        return seen.times_us[touched] - back * SAMPLE_US + SHORT_M / max(speed, 0.02) * SECOND_US
+        if speed_m_s == 0.0:
+            at = int(track.newest_us - passed_us) // SAMPLE_US
+            near = track.samples_m[at : at + SPEED_SAMPLES]
+            speed_m_s = direction * (near[0] - near[-1]) / ((len(near) - 1) * SAMPLE_US * US)
+        met_us = passed_us + SHORT_M / max(speed_m_s, SLOWEST_M_S) * SECOND_US
+        self.met_us[direction] = met_us
+        return met_us
 
     def _go_on(self, track: SleeveTrack, supply_pa: float) -> None:
         """Goes on from what is measured: teeth, or something else, hold or move the sleeve."""
