@@ -51,7 +51,7 @@ _DEAD: Final = 10
 
 
 class Prior(NamedTuple):
-    """Mean and covariance (PARAMETERS,) of what is to be learned."""
+    """Mean and covariance of what is to be learned (PARAMETERS,), and of switches after that."""
 
     mean: Vector
     covariance: Vector

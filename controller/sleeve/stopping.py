@@ -1,0 +1,106 @@
+"""A sleeve in flight that is stopped short of the teeth: its valve off and the opposite one on in
+one instant, that one off again after some 10 ms."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from meshpoint.controller.records import Vector
+from meshpoint.controller.sleeve.answers import Halt
+from meshpoint.controller.sleeve.cylinder import TO_REST, TO_TURN
+from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
+from meshpoint.controller.sleeve.motion import Switch, Way
+
+STOPS_US: Final = 40_000
+"""A sleeve that is stopped in flight stands within this time, or is not stopped."""
+RESTS_US: Final = 400_000
+LEAST_MARGIN_M: Final = 2e-4
+SURE: Final = 2.5
+"""Standard deviations by which a sleeve stops short of the teeth."""
+LONGEST_PULSE_US: Final = 14_000
+SHORTEST_PULSE_US: Final = 9_000
+"""The step that aborts sends the pulse's beginning, the next one its end."""
+PULSE_STEP_US: Final = 500
+NEARLY_M: Final = 1e-4
+ABORT_STEP_US: Final = 250
+
+
+def aborted(switches: list[Switch], direction: int, at_us: int, pulse_us: int) -> list[Switch]:
+    """The switches of a sleeve on its way there that is stopped so."""
+    kept = [one for one in switches if one.time_us < at_us]
+    valve = valve_towards(direction)
+    off = Switch(at_us, valve, False)
+    if pulse_us == 0:
+        return [*kept, off]
+    pulse = Switch(at_us, 1 - valve, True), Switch(at_us + pulse_us, 1 - valve, False)
+    return [*kept, off, *pulse]
+
+
+def latest_abort_us(
+    sleeve: DrivenSleeve, direction: int, fired: list[Switch], earliest_us: int, contact_us: int
+) -> int | None:
+    """The latest abort, no sooner than `earliest_us`, after which the sleeve stops short; by
+    bisection: the later the abort, the further it gets."""
+    if not _stops(sleeve, direction, fired, earliest_us, LONGEST_PULSE_US):
+        return None
+    early, late = earliest_us, max(contact_us, earliest_us + 1)
+    while late - early > ABORT_STEP_US:
+        middle = (early + late) // 2
+        stops = _stops(sleeve, direction, fired, middle, LONGEST_PULSE_US)
+        early, late = (middle, late) if stops else (early, middle)
+    return early
+
+
+def halted(sleeve: DrivenSleeve, direction: int, at_us: int, valve_us: float) -> Halt:
+    """How a sleeve on its way there is stopped from then on, and where it will stand. valve_us: a
+    valve that has been on for no longer has not moved it."""
+    fired = [one for one in sleeve.switches if one.time_us < at_us]
+    valve = valve_towards(direction)
+    on_us = max((one.time_us for one in fired if one.valve == valve), default=at_us)
+    stops_by_itself = at_us - on_us <= valve_us and _stops(sleeve, direction, fired, at_us, 0)
+    pulse_us = 0 if stops_by_itself else SHORTEST_PULSE_US
+    longest = aborted(fired, direction, at_us, LONGEST_PULSE_US)
+    short_m = direction * _stopped(sleeve, direction, longest).furthest_m + NEARLY_M
+    while 0 < pulse_us < LONGEST_PULSE_US:
+        way = _stopped(sleeve, direction, aborted(fired, direction, at_us, pulse_us))
+        if way.turned_us is not None and direction * way.furthest_m <= short_m:
+            break
+        pulse_us += PULSE_STEP_US
+    switches = aborted(fired, direction, at_us, pulse_us)
+    way = sleeve.ahead(ending=TO_REST, until_us=at_us + RESTS_US, switches=switches)
+    sd_m = _stop_sd_m(sleeve, direction, switches)
+    return Halt(at_us, at_us + pulse_us, way.m, sd_m)
+
+
+def _stopped(
+    sleeve: DrivenSleeve, direction: int, switches: list[Switch], unknowns: Vector | None = None
+) -> Way:
+    """As far as it gets by these switches."""
+    return sleeve.ahead(
+        ending=TO_TURN,
+        until_us=switches[-1].time_us + STOPS_US,
+        switches=switches,
+        unknowns=unknowns,
+        level_m=direction * sleeve.law.stroke_m,
+        direction=float(direction),
+    )
+
+
+def _stops(
+    sleeve: DrivenSleeve, direction: int, fired: list[Switch], at_us: int, pulse_us: int
+) -> bool:
+    """Whether a sleeve that is aborted so stops short of the teeth by the margin."""
+    switches = aborted(fired, direction, at_us, pulse_us)
+    short_m = sleeve.law.face_m - direction * _stopped(sleeve, direction, switches).furthest_m
+    if short_m < LEAST_MARGIN_M:
+        return False
+    return short_m >= SURE * _stop_sd_m(sleeve, direction, switches)
+
+
+def _stop_sd_m(sleeve: DrivenSleeve, direction: int, switches: list[Switch]) -> float:
+    """Deviation of the place to which an aborted sleeve gets."""
+
+    def furthest_m(unknowns: Vector) -> float:
+        return _stopped(sleeve, direction, switches, unknowns).furthest_m
+
+    return sleeve.sd(furthest_m, switches, _stopped(sleeve, direction, switches).furthest_m)
