@@ -126,6 +126,7 @@ class Sleeves:
 
     def _tell_scatter(self) -> None:
         self._from_rest.clear()
+        self._abort_after.clear()
         for gear, side in _SIDES.items():
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
 

@@ -68,7 +68,8 @@ def halted(sleeve: DrivenSleeve, direction: int, at_us: int, valve_us: float) ->
         pulse_us += PULSE_STEP_US
     switches = aborted(fired, direction, at_us, pulse_us)
     way = sleeve.ahead(ending=TO_REST, until_us=at_us + RESTS_US, switches=switches)
-    sd_m = _stop_sd_m(sleeve, direction, switches)
+    gets_m = _stopped(sleeve, direction, switches).furthest_m
+    sd_m = _stop_sd_m(sleeve, direction, switches, gets_m)
     return Halt(at_us, at_us + pulse_us, way.m, sd_m)
 
 
@@ -91,16 +92,19 @@ def _stops(
 ) -> bool:
     """Whether a sleeve that is aborted so stops short of the teeth by the margin."""
     switches = aborted(fired, direction, at_us, pulse_us)
-    short_m = sleeve.law.face_m - direction * _stopped(sleeve, direction, switches).furthest_m
+    gets_m = _stopped(sleeve, direction, switches).furthest_m
+    short_m = sleeve.law.face_m - direction * gets_m
     if short_m < LEAST_MARGIN_M:
         return False
-    return short_m >= SURE * _stop_sd_m(sleeve, direction, switches)
+    return short_m >= SURE * _stop_sd_m(sleeve, direction, switches, gets_m)
 
 
-def _stop_sd_m(sleeve: DrivenSleeve, direction: int, switches: list[Switch]) -> float:
+def _stop_sd_m(
+    sleeve: DrivenSleeve, direction: int, switches: list[Switch], gets_m: float
+) -> float:
     """Deviation of the place to which an aborted sleeve gets."""
 
     def furthest_m(unknowns: Vector) -> float:
         return _stopped(sleeve, direction, switches, unknowns).furthest_m
 
-    return sleeve.sd(furthest_m, switches, _stopped(sleeve, direction, switches).furthest_m)
+    return sleeve.sd(furthest_m, switches, gets_m)

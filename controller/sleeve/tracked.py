@@ -108,6 +108,7 @@ class TrackedSleeve(DrivenSleeve):
     def know(self, known: Prior) -> None:
         """This is known from now on, and nothing of a movement."""
         self._known = known
+        self.version += 1
         self._forget_movement()
 
     def place_of(self, reading_m: float) -> float:
@@ -232,7 +233,6 @@ class TrackedSleeve(DrivenSleeve):
         fitted = fit(readings, measured, self.prior_of_movement(), begin, iterations)
         self.learned, self.late_s = fitted.mean[:PARAMETERS], fitted.mean[PARAMETERS:]
         self.joint, self._left_m = fitted.covariance, fitted.left_m
-        self.version += 1
         return float(fitted.left_m[-1])
 
     @property
@@ -255,6 +255,7 @@ class TrackedSleeve(DrivenSleeve):
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
             faded[LEFT, LEFT] = LEFT_SD**2
             self._known = Prior(mean, faded)
+            self.version += 1
             self.movements += 1
         else:
             self._forget_movement()
@@ -264,7 +265,6 @@ class TrackedSleeve(DrivenSleeve):
         prior = self.prior_of_movement()
         self.learned, self.late_s = prior.mean[:PARAMETERS], prior.mean[PARAMETERS:]
         self.joint = prior.covariance
-        self.version += 1
 
     def _meet(self, track: SleeveTrack, touched: int) -> None:
         """It comes to a gear's teeth."""
