@@ -15,9 +15,15 @@ from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
 from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.law import ON, SleeveLaw
+from meshpoint.controller.sleeve.law_figures import LawFigures, law_figures
 from meshpoint.controller.sleeve.law_record import known_from, law_record
 from meshpoint.controller.sleeve.motion import Switch
-from meshpoint.controller.sleeve.stopping import aborted, halted, latest_abort_us
+from meshpoint.controller.sleeve.stopping import (
+    aborted,
+    halted,
+    latest_abort_us,
+    latest_from_neutral_us,
+)
 from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
 from meshpoint.controller.sleeve.to_rest import (
     NEAR_NEUTRAL_M,
@@ -241,9 +247,7 @@ class Sleeves:
         known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
         found = self._abort_after.get(gear)
         if found is None or found[0] != known:
-            rested, fired = tracked.at_rest(0.0), [Switch(0, side.valve, True)]
-            contact_us = to_contact(rested, side.direction, fired).crossed_us or 0.0
-            last_us = latest_abort_us(rested, side.direction, fired, 0, int(contact_us))
+            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
             found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
         return found[1]
 
@@ -306,6 +310,12 @@ class Sleeves:
             if tracked.movements > 0
         }
         return SleeveLawRecords(**laws)
+
+    def law_figures(self, gear: MainGear) -> LawFigures:
+        """What is known of the law by which the sleeve goes to this gear."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        return law_figures(tracked.at_rest(0.0), side.direction, tracked.movements)
 
     def restore(self, records: SleeveRecords, laws: SleeveLawRecords) -> None:
         """Goes on from records; what is without one stays as the data sheet says."""

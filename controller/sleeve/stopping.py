@@ -7,9 +7,11 @@ from typing import Final
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.answers import Halt
-from meshpoint.controller.sleeve.cylinder import TO_REST, TO_TURN
+from meshpoint.controller.sleeve.cylinder import TO_REST, TO_TIME, TO_TURN
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
+from meshpoint.controller.sleeve.law import PARAMETERS
 from meshpoint.controller.sleeve.motion import Switch, Way
+from meshpoint.controller.sleeve.stroke import to_contact
 
 STOPS_US: Final = 40_000
 """A sleeve that is stopped in flight stands within this time, or is not stopped."""
@@ -49,6 +51,31 @@ def latest_abort_us(
         stops = _stops(sleeve, direction, fired, middle, LONGEST_PULSE_US)
         early, late = (middle, late) if stops else (early, middle)
     return early
+
+
+def latest_from_neutral_us(sleeve: DrivenSleeve, direction: int) -> int | None:
+    """The same of a sleeve that rests in neutral and is fired at 0."""
+    fired = [Switch(0, valve_towards(direction), True)]
+    contact_us = to_contact(sleeve, direction, fired).crossed_us or 0.0
+    return latest_abort_us(sleeve, direction, fired, 0, int(contact_us))
+
+
+def stopping_m(sleeve: DrivenSleeve, direction: int) -> tuple[float, float] | None:
+    """How far such a sleeve still goes after its latest abort, and the deviation of that; None
+    where it cannot be stopped."""
+    at_us = latest_from_neutral_us(sleeve, direction)
+    if at_us is None:
+        return None
+    fired = [Switch(0, valve_towards(direction), True)]
+    switches = aborted(fired, direction, at_us, LONGEST_PULSE_US)
+
+    def goes_m(unknowns: Vector) -> float:
+        known = unknowns[: PARAMETERS + 1]
+        begins = sleeve.ahead(ending=TO_TIME, until_us=at_us, switches=fired, unknowns=known)
+        return direction * (_stopped(sleeve, direction, switches, unknowns).furthest_m - begins.m)
+
+    expected_m = goes_m(sleeve.unknowns(switches))
+    return expected_m, sleeve.sd(goes_m, switches, expected_m)
 
 
 def halted(sleeve: DrivenSleeve, direction: int, at_us: int, valve_us: float) -> Halt:

@@ -41,11 +41,12 @@ from meshpoint.testbench.commission.wheels import (
     tooth_count,
 )
 from meshpoint.testbench.commission.whole import WholeCommission
-from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identified import Figure, Identified
 from meshpoint.testbench.identify.identify import identify
 from meshpoint.testbench.identify.log_reader import LogContent, LogReader
 from meshpoint.testbench.identify.overlay import Entry, entries
 from meshpoint.testbench.identify.sleeve_fit import at_sheet, sleeve_fit
+from meshpoint.testbench.identify.sleeve_law import LAW_FIGURES
 from meshpoint.testbench.identify.tooth_fit import ToothFit
 from meshpoint.units import MS
 
@@ -71,6 +72,12 @@ class Commissioned:
     """What stays unknown, or contradicts itself."""
     identified: Identified | None = None
     calibration: Calibration | None = None
+
+    @property
+    def sleeve_law(self) -> list[Figure]:
+        """What is known of the main sleeves' laws."""
+        figures = self.identified.figures if self.identified is not None else []
+        return [one for one in figures if one.name in LAW_FIGURES and one.value is not None]
 
     def add(self, table: str, key: str, value: float, why: str) -> None:
         """A measured value."""
@@ -252,7 +259,8 @@ def _identify(found: Commissioned, recorded: list[tuple[int, Frame]]) -> None:
             reported[entry.table, entry.key] = entry
     found.entries = list(reported.values())
     for figure in found.identified.figures:
-        if figure.value is None and not figure.name.startswith("clutch"):
+        is_left_out = figure.name.startswith("clutch") or figure.name in LAW_FIGURES
+        if figure.value is None and not is_left_out:
             found.unknown(figure.name, figure.why)
     found.sheet = with_entries(found.sheet, found.entries)
 

@@ -32,6 +32,7 @@ from meshpoint.testbench.identify.jackknife import (
 )
 from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.testbench.identify.sleeve_fit import SleeveFit, sleeve_fit
+from meshpoint.testbench.identify.sleeve_law import sleeve_law
 from meshpoint.testbench.identify.tooth_fit import (
     tooth_fit,
     wheel_figures,
@@ -55,6 +56,7 @@ def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None)
     _teeth(found, content, sheet)
     tell("sleeves")
     _sleeves(found, sleeve_fit(content.strokes, sheet), content, sheet)
+    sleeve_law(found, content, sheet)
     tell("clutch")
     _clutch(found, content, sheet)
     _never(found)

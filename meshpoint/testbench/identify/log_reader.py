@@ -15,6 +15,8 @@ from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch, WheelEdges
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import SLEEVE_VALVE
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
@@ -28,7 +30,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
-from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
 from meshpoint.testbench.identify.thinning import Thinned
 from meshpoint.testbench.identify.valve_switches import (
     BRAKE,
@@ -53,6 +55,8 @@ OPEN, HIGH = 0.02, 0.98
 """A clutch beyond these shares of its travel is at its end."""
 LEAST_CLOSING: Final = 6
 """Samples of a closing clutch."""
+MOVED_M: Final = 0.5e-3
+"""A sleeve that goes this far within a frame or two moves: some times the sensors' noise."""
 PULLED_M: Final = 1.5e-3
 """A sleeve further than this from its rest when its valve is switched on is pulled out of a gear,
 not pushed into one."""
@@ -125,6 +129,10 @@ class LogContent:
     """Commands whose activation had passed by the log's clock when they came."""
     empty_pa: list[float] = field(default_factory=list)
     """Pressures at the brake long after its valve went off."""
+    sleeves: Sleeves | None = None
+    """What a controller would have learned of the main sleeves."""
+    moved: set[Sleeve] = field(default_factory=set)
+    """The main sleeves that have moved."""
 
 
 class _Trajectory:
@@ -177,6 +185,9 @@ class LogReader:
         self._split: Split | None = None
         self._last_us = 0
         self._strokes = _Strokes(sheet, self.content)
+        self.content.sleeves = self._sleeves = Sleeves(sheet)
+        self._told_us: dict[MainGear, int] = {}
+        """The newest switch of each gear's valve that the sleeves were told of."""
         self._closing = _ClosingTrack(self.content)
         self._next_us: int | None = None
 
@@ -227,7 +238,24 @@ class LogReader:
         sensor_now = clock.now_us(now_us)
         if inputs.sleeves_main:
             self._strokes.step(view, self._valves, sensor_now, self._supply_pa)
+            self._move_sleeves(sensor_now)
         self._follow(layshaft, main)
+
+    def _move_sleeves(self, now_us: int) -> None:
+        """Tells the sleeves what their valves have done, and where they are."""
+        for gear in MAIN_GEARS:
+            told_us = self._told_us.get(gear, 0)
+            for switch in self._valves.of(VALVE_OF_GEAR[gear], now_us):
+                if switch.time_us > told_us:
+                    self._sleeves.commanded(SLEEVE_VALVE[gear], switch.on, switch.time_us)
+                    self._told_us[gear] = switch.time_us
+        if self._supply:
+            self._sleeves.supply_pa = self._supply[-1] - self._sheet.air.atmosphere_pa
+        self._sleeves.take(self._view, now_us)
+        for sleeve in MAIN_SLEEVES:
+            samples_m = self._view.tracks[sleeve].samples_m
+            if max(samples_m) - min(samples_m) > MOVED_M:
+                self.content.moved.add(sleeve)
 
     def _take_sensors(self, message: GearboxSensors, time_us: int) -> None:
         self._view.clutch.take(time_us, message.clutch_position_fraction)
