@@ -85,7 +85,8 @@ class Sleeves:
         self._chances = {gear: ContactChance(sheet.sleeve) for gear in MAIN_GEARS}
         self._neutral_sd_s = {gear: self._law_sd_s(gear) for gear in MAIN_GEARS}
         """Deviation of the contact from neutral by what is known of the law, no chance in it."""
-        self._contacts: dict[Sleeve, Contact | None] = dict.fromkeys(MAIN_SLEEVES)
+        self.contacts: dict[MainGear, Contact] = {}
+        """The newest contact with each gear."""
         self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
 
@@ -117,15 +118,13 @@ class Sleeves:
             track = view.tracks.get(sleeve)
             if track is None:
                 continue
+            before = tracked.contact
             tracked.take(track)
-            if tracked.contact is not self._contacts[sleeve]:
-                self._learn_contact(sleeve, tracked)
+            if tracked.contact is not None and tracked.contact is not before:
+                self._learn_contact(_GEAR_AT[sleeve, tracked.contact.direction], tracked.contact)
 
-    def _learn_contact(self, sleeve: Sleeve, tracked: TrackedSleeve) -> None:
-        contact = self._contacts[sleeve] = tracked.contact
-        if contact is None:
-            return
-        gear = _GEAR_AT[sleeve, contact.direction]
+    def _learn_contact(self, gear: MainGear, contact: Contact) -> None:
+        self.contacts[gear] = contact
         if self._chances[gear].learn(contact, self._neutral_sd_s[gear]):
             self._neutral_sd_s[gear] = self._law_sd_s(gear)
             self._tell_scatter()
