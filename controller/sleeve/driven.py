@@ -11,7 +11,16 @@ import numpy as np
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_TIME
 from meshpoint.controller.sleeve.fit import slopes
-from meshpoint.controller.sleeve.law import OFF, ON, PARAMETERS, Prior, SleeveLaw
+from meshpoint.controller.sleeve.law import (
+    DETENT,
+    FEED,
+    LEFT,
+    OFF,
+    ON,
+    PARAMETERS,
+    Prior,
+    SleeveLaw,
+)
 from meshpoint.controller.sleeve.motion import Start, Switch, Way, follow
 from meshpoint.units import SECOND_US
 
@@ -138,7 +147,11 @@ class DrivenSleeve:
 
     def sd(self, of: Callable[[Vector], float], switches: list[Switch], base: float) -> float:
         """Deviation of a figure, which is `base`, by what is not known of law and switches."""
-        slope = slopes(of, self.unknowns(switches), base)
+        delays = {(ON if one.on else OFF) + one.valve for one in switches}
+        own = range(PARAMETERS, PARAMETERS + len(switches))
+        left = () if self.start.is_rest else (LEFT,)
+        moved_by = (*delays, *range(FEED, DETENT + 1), *left, *own)
+        slope = slopes(of, self.unknowns(switches), base, moved_by)
         variance = float(slope @ self.covariance_with(switches) @ slope)
         return math.sqrt(max(variance, 0.0))
 

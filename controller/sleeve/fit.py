@@ -6,7 +6,7 @@ beyond its valve's learned delay. Both have a prior; the law gives the places in
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -43,14 +43,17 @@ def probes(count: int) -> Vector:
     return steps
 
 
-def slopes(of: Callable[[Vector], Answer], at: Vector, base: Answer) -> Vector:
-    """How what `of` gives changes with each unknown: one column each."""
+def slopes(
+    of: Callable[[Vector], Answer], at: Vector, base: Answer, moved_by: Iterable[int]
+) -> Vector:
+    """How what `of` gives changes with each unknown: one column each. moved_by: those that it
+    changes with at all."""
     steps = probes(len(at))
-    rows = np.empty((len(at), *np.shape(base)))
-    for k, step in enumerate(steps):
+    rows = np.zeros((len(at), *np.shape(base)))
+    for k in moved_by:
         probe = at.copy()
-        probe[k] += step
-        rows[k] = (of(probe) - base) / step
+        probe[k] += steps[k]
+        rows[k] = (of(probe) - base) / steps[k]
     return rows.T
 
 
@@ -73,7 +76,7 @@ def fit(
     now = cost(z, left)
     posterior: Vector = covariance
     for _ in range(iterations):
-        slope = slopes(places, z, seen_m - left)
+        slope = slopes(places, z, seen_m - left, range(len(z)))
         information = inverse + slope.T @ slope / noise
         posterior = np.asarray(np.linalg.inv(information), dtype=np.float64)
         step = posterior @ (slope.T @ left / noise - inverse @ (z - mean))
