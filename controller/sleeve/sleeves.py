@@ -23,6 +23,7 @@ from meshpoint.controller.sleeve.stopping import (
     halted,
     latest_abort_us,
     latest_from_neutral_us,
+    stops,
 )
 from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
 from meshpoint.controller.sleeve.to_rest import (
@@ -238,6 +239,13 @@ class Sleeves:
             return None
         earliest_us = max(fire_us, self._now_us)
         return latest_abort_us(tracked, side.direction, fired, earliest_us, int(contact_us))
+
+    def stops(self, gear: MainGear, fire_us: int, at_us: int) -> bool:
+        """Whether a sleeve fired at `fire_us` stops short of the teeth by the margin, if it is
+        aborted then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        return stops(tracked, side.direction, tracked.fired(side.direction, fire_us), at_us)
 
     def abort_after_us(self, gear: MainGear) -> int:
         """So long after a firing from neutral the sleeve can last be stopped short of the teeth."""

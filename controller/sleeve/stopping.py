@@ -43,13 +43,13 @@ def latest_abort_us(
 ) -> int | None:
     """The latest abort, no sooner than `earliest_us`, after which the sleeve stops short; by
     bisection: the later the abort, the further it gets."""
-    if not _stops(sleeve, direction, fired, earliest_us, LONGEST_PULSE_US):
+    if not stops(sleeve, direction, fired, earliest_us):
         return None
     early, late = earliest_us, max(contact_us, earliest_us + 1)
     while late - early > ABORT_STEP_US:
         middle = (early + late) // 2
-        stops = _stops(sleeve, direction, fired, middle, LONGEST_PULSE_US)
-        early, late = (middle, late) if stops else (early, middle)
+        in_time = stops(sleeve, direction, fired, middle)
+        early, late = (middle, late) if in_time else (early, middle)
     return early
 
 
@@ -84,7 +84,7 @@ def halted(sleeve: DrivenSleeve, direction: int, at_us: int, valve_us: float) ->
     fired = [one for one in sleeve.switches if one.time_us < at_us]
     valve = valve_towards(direction)
     on_us = max((one.time_us for one in fired if one.valve == valve), default=at_us)
-    stops_by_itself = at_us - on_us <= valve_us and _stops(sleeve, direction, fired, at_us, 0)
+    stops_by_itself = at_us - on_us <= valve_us and stops(sleeve, direction, fired, at_us, 0)
     pulse_us = 0 if stops_by_itself else SHORTEST_PULSE_US
     longest = aborted(fired, direction, at_us, LONGEST_PULSE_US)
     short_m = direction * _stopped(sleeve, direction, longest).furthest_m + NEARLY_M
@@ -114,8 +114,12 @@ def _stopped(
     )
 
 
-def _stops(
-    sleeve: DrivenSleeve, direction: int, fired: list[Switch], at_us: int, pulse_us: int
+def stops(
+    sleeve: DrivenSleeve,
+    direction: int,
+    fired: list[Switch],
+    at_us: int,
+    pulse_us: int = LONGEST_PULSE_US,
 ) -> bool:
     """Whether a sleeve that is aborted so stops short of the teeth by the margin."""
     switches = aborted(fired, direction, at_us, pulse_us)
