@@ -79,6 +79,8 @@ class GearPredictor:
     """Learned: ratio of the phases' real scatter to the filters' standard deviation."""
     stop_us: int
     """A sleeve that has been fired can last be stopped so long before its contact."""
+    contact_speed_m_s: float
+    """Of the sleeve as it meets the gear's teeth."""
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""

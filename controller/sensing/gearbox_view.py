@@ -53,12 +53,11 @@ class SleeveTrack(NamedTuple):
         return None
 
 
-RESTING_M = 1e-3
-"""A sleeve this close to the middle is taken to be in neutral."""
-REST_SHARE = 0.05
-SHORT_M = 4e-4
-"""Contact is detected this far before its nominal position, since a tooth may stop the sleeve
-there."""
+RESTING_M: Final = 1e-3
+"""A sleeve this close to the middle rests: what its sensor reads there is its offset."""
+REST_SHARE: Final = 0.05
+SHORT_M: Final = 4e-4
+"""This far before its nominal position a tooth may stop or rub on a sleeve."""
 
 
 class GearboxView:
@@ -68,7 +67,6 @@ class GearboxView:
         self._stroke_m = sheet.sleeve.stroke_m
         self._clear_m = sheet.sleeve.to_contact_m - SHORT_M
         """Nearer to the middle than this a sleeve is clear of a gear's teeth."""
-        self._speed_m_s = sheet.sleeve.speed_m_s
         self._rest_m = dict.fromkeys(Sleeve, 0.0)
         """Offset of each sensor: its reading in neutral (m)."""
         self.tracks: dict[Sleeve, SleeveTrack] = {}
@@ -118,13 +116,6 @@ class GearboxView:
         position_m = samples_m[0]
         if abs(position_m) < RESTING_M:
             self._rest_m[sleeve] += REST_SHARE * (position_m - self._rest_m[sleeve])
-
-    def contact_us(self, sleeve: Sleeve, direction: int) -> float | None:
-        """When a sleeve on its way to a gear came to where it meets the gear's teeth; None where it
-        did not within the newest samples. The sensor's offset is taken out."""
-        level_m = self._clear_m + self._rest_m[sleeve] * direction
-        passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
-        return None if passed_us is None else passed_us + SHORT_M / self._speed_m_s * 1e6
 
     def engaged_us(self, sleeve: Sleeve, direction: int) -> int | None:
         """When a sleeve came within the last millimetre of its stroke; None where it did not within

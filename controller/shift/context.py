@@ -26,7 +26,7 @@ from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
-from meshpoint.units import SECOND_US, US
+from meshpoint.units import US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -132,30 +132,18 @@ class ShiftContext:
         closed = snapshot.view.clutch_closed or 0.0
         return closed > self.kiss.share and snapshot.view.main_gear is not MainGear.NEUTRAL
 
-    def unloaded_us(self, snapshot: StepSnapshot) -> int | None:
-        """The earliest activation (sensor time, us) of the valve that pulls a gear out: the sleeve
-        begins to move as the plates part, where they were learned to, and its teeth are out no
-        sooner than they surely have. None while it is not known that they will."""
-        clutch, sleeve = snapshot.view.clutch, self.sheet.sleeve
+    def unloaded_us(self, snapshot: StepSnapshot, valve: ValveName | None) -> int | None:
+        """The earliest activation (sensor time, us) of a valve that pulls a gear, or a step of
+        splitter or range, out: the sleeve begins to move as the plates part, where they were
+        learned to, and its teeth are out no sooner than they surely have. None while it is not
+        known that they will."""
+        clutch = snapshot.view.clutch
         parted_us = clutch.falls_to_us(self.kiss.parted_share)
-        surely_us = self._surely_parted_us(snapshot)
+        surely_us = clutch.falls_to_us(max(0.0, self.sheet.clutch.surely_open_share - SENSED_SHARE))
         if parted_us is None or surely_us is None:
             return None
-        moves_us = parted_us - SECOND_US * sleeve.valve_delay_s
-        out_us = surely_us - SECOND_US * sleeve.least_pull_s
-        return max(snapshot.earliest_us, round(moves_us), round(out_us))
-
-    def step_unloaded_us(self, snapshot: StepSnapshot) -> int | None:
-        """The same for splitter and range, whose teeth part as soon as the sleeve moves."""
-        surely_us = self._surely_parted_us(snapshot)
-        if surely_us is None:
-            return None
-        moves_us = round(surely_us - SECOND_US * self.sheet.sleeve.valve_delay_s)
-        return max(snapshot.earliest_us, moves_us)
-
-    def _surely_parted_us(self, snapshot: StepSnapshot) -> float | None:
-        share = self.sheet.clutch.surely_open_share - SENSED_SHARE
-        return snapshot.view.clutch.falls_to_us(max(0.0, share))
+        moves_us, out_us = self.sleeves.pull_us(valve)
+        return max(snapshot.earliest_us, round(parted_us - moves_us), round(surely_us - out_us))
 
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """Commands the brake valve at a sensor time (us), and enters the switch in the filter's
@@ -232,6 +220,7 @@ class ShiftContext:
             self.drifts.rad_s(gear),
             self.drifts.spread_share(gear),
             0,
+            0.0,
         )
         if self.state is State.HALTED:  # it may still move
             stroke, fire_us = self.sleeves.stroke(gear, snapshot.earliest_us), snapshot.earliest_us
@@ -249,6 +238,7 @@ class ShiftContext:
             delay_us=delay_us,
             delay_sd_s=stroke.sd_us * US,
             stop_us=max(0, stop_us),
+            contact_speed_m_s=stroke.contact_speed_m_s,
         )
 
     def reference_known(self, gear: MainGear) -> bool:

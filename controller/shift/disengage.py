@@ -40,7 +40,9 @@ def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     context.clutch = ClutchAction.OPEN
     if shift.clutch_us is None:
         shift.clutch_us = snapshot.now_us
-    unloaded_us = context.unloaded_us(snapshot)
+    gear = snapshot.view.main_gear
+    pulls = None if gear is None else OPPOSITE.get(gear)
+    unloaded_us = context.unloaded_us(snapshot, pulls)
     if unloaded_us is not None and unloaded_us < snapshot.earliest_us + context.tick_us:
         return Trigger.CLUTCH_OPEN
     if snapshot.now_us - shift.clutch_us > context.settings.limits.clutch_ms * MS_IN_US:
@@ -76,7 +78,8 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
     """Sends the pulse that pulls this gear out as the plates part. A time that can still be moved
     follows the clutch, and a clutch that stops or comes back takes the command back. The end of the
     pulse follows the sleeve: torque on the teeth may hold it for a while."""
-    valve, unloaded_us = OPPOSITE[gear], context.unloaded_us(snapshot)
+    valve = OPPOSITE[gear]
+    unloaded_us = context.unloaded_us(snapshot, valve)
     shift, now_us, command = context.running, snapshot.now_us, context.board.command(valve)
     if unloaded_us is None:
         context.board.off(valve)

@@ -34,7 +34,7 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if _is_refused(context, snapshot):
         return recall(context)
     if shift.measured_contact_us is None:
-        _measure_contact(context, snapshot)
+        _measure_contact(context)
     if snapshot.view.main_gear is gear:
         return in_mesh(context, snapshot)
     # The plates meet some hundredths of a second after the clutch sets off: it does so as soon as
@@ -69,10 +69,10 @@ def recall(context: ShiftContext) -> Trigger:
     return Trigger.BLOCKED
 
 
-def _measure_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
+def _measure_contact(context: ShiftContext) -> None:
     shift = context.running
-    side = SLEEVE_OF_MAIN[shift.target.main]
-    crossing = snapshot.view.contact_us(side.sleeve, side.direction)
+    fire_us = 0 if shift.plan is None else shift.plan.fire_us
+    crossing = context.sleeves.contact_us(shift.target.main, fire_us)
     if crossing is None:
         return
     shift.measured_contact_us = round(crossing)

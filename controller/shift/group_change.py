@@ -134,7 +134,7 @@ def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Rang
 
 
 def _push(context: ShiftContext, valve: ValveName, snapshot: StepSnapshot) -> None:
-    command, unloaded_us = context.board.command(valve), context.step_unloaded_us(snapshot)
+    command, unloaded_us = context.board.command(valve), context.unloaded_us(snapshot, valve)
     if unloaded_us is None:
         context.board.off(valve)
     elif not command.on or command.time_us > snapshot.earliest_us:

@@ -37,9 +37,9 @@ def better_halted(
     if plan is None or _has_spent_its_time(context, snapshot):
         return None
     gear, at_us = shift.target.main, snapshot.now_us + BUS_US
-    last_us = context.sleeves.last_abort_us(gear, plan.fire_us)
+    sleeves, next_us = context.sleeves, at_us + context.tick_us
     # Until the last step in which it can be stopped, waiting costs nothing and more is known.
-    if last_us is None or not at_us <= last_us < at_us + context.tick_us:
+    if sleeves.stops(gear, plan.fire_us, next_us) or not sleeves.stops(gear, plan.fire_us, at_us):
         return None
     halt = context.sleeves.abort(gear, at_us)
     slip, window = predictor.slip_rad_s(plan.contact_us), context.settings.guard

@@ -13,7 +13,6 @@ class Place(NamedTuple):
     m: float
     """From neutral, in the sensor's direction, its offset and gain taken out."""
     speed_m_s: float
-    sd_m: float
     is_moving: bool
 
 
@@ -26,8 +25,6 @@ class Stroke(NamedTuple):
     """From how many contacts the scatter is known: degrees of freedom of the contact's Student
     law."""
     contact_speed_m_s: float
-    force_n: float
-    """Of the air, as the teeth are met."""
 
 
 class Halt(NamedTuple):
@@ -47,12 +44,5 @@ class Pulse(NamedTuple):
     valve: ValveName
     on_us: int
     off_us: int
-    arrival_us: int
-    """When it rests there."""
     m: float
-    """Where it rests."""
-    sd_m: float
-    parted_us: int
-    """When it passes the faces of the teeth that it leaves, expected; `on_us` where it is out."""
-    earliest_parted_us: int
-    """The same for a sleeve faster by 2.5 standard deviations."""
+    """Where it comes to rest."""

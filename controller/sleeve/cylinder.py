@@ -242,3 +242,9 @@ def move(  # noqa: C901
 
 
 NOTHING_SEEN: Final = np.zeros(0)
+
+
+def warm_up() -> None:
+    """Compiles it, or loads what was compiled before."""
+    law, state, way = np.ones(LAW_WORDS), np.ones(STATE_WORDS), np.zeros(WAY_WORDS)
+    move(law, state, np.zeros((1, 3)), 0, 1.0, 1.0, 0.0, TO_TIME, FOREVER, NOTHING_SEEN, way)

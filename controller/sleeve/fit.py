@@ -6,13 +6,13 @@ beyond its valve's learned delay. Both have a prior; the law gives the places in
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from meshpoint.controller.records import Vector
-from meshpoint.controller.sleeve.law import DETENT, FEED, OFFSET, PARAMETERS
+from meshpoint.controller.sleeve.law import DETENT, FEED, OFFSET, PARAMETERS, Prior
 
 SAMPLE_SD_M: Final = 8e-5
 """Of a sample from the law: its noise, and what a law leaves out."""
@@ -22,6 +22,7 @@ LARGEST_STEP_SDS: Final = 4.0
 """The law bends too much for a longer step."""
 HALVINGS: Final = 4
 
+Answer = TypeVar("Answer", float, Vector)
 Places = Callable[[Vector], Vector]
 
 
@@ -42,40 +43,43 @@ def probes(count: int) -> Vector:
     return steps
 
 
-def slopes(of: Callable[[Vector], Vector], at: Vector, base: Vector) -> Vector:
-    """How what `of` gives changes with each unknown: one column each."""
+def slopes(
+    of: Callable[[Vector], Answer], at: Vector, base: Answer, moved_by: Iterable[int]
+) -> Vector:
+    """How what `of` gives changes with each unknown: one column each. moved_by: those that it
+    changes with at all."""
     steps = probes(len(at))
-    rows = np.empty((len(at), *np.shape(base)))
-    for k, step in enumerate(steps):
+    rows = np.zeros((len(at), *np.shape(base)))
+    for k in moved_by:
         probe = at.copy()
-        probe[k] += step
-        rows[k] = (of(probe) - base) / step
+        probe[k] += steps[k]
+        rows[k] = (of(probe) - base) / steps[k]
     return rows.T
 
 
 def fit(
     places: Places,
     seen_m: Vector,
-    prior: Vector,
-    covariance: Vector,
+    prior: Prior,
     begin: Vector,
     iterations: int,
 ) -> Fitted:
     """The most likely unknowns, from `begin` on. places: the readings (m) that unknowns give."""
     noise = SAMPLE_SD_M**2 * max(1.0, len(seen_m) / INDEPENDENT)
+    mean, covariance = prior
     inverse = np.linalg.inv(covariance)
 
     def cost(z: Vector, left: Vector) -> float:
-        return float(left @ left) / noise + float((z - prior) @ inverse @ (z - prior))
+        return float(left @ left) / noise + float((z - mean) @ inverse @ (z - mean))
 
     z, left = begin, seen_m - places(begin)
     now = cost(z, left)
     posterior: Vector = covariance
     for _ in range(iterations):
-        slope = slopes(places, z, seen_m - left)
+        slope = slopes(places, z, seen_m - left, range(len(z)))
         information = inverse + slope.T @ slope / noise
         posterior = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        step = posterior @ (slope.T @ left / noise - inverse @ (z - prior))
+        step = posterior @ (slope.T @ left / noise - inverse @ (z - mean))
         step /= max(
             1.0, float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)))) / LARGEST_STEP_SDS
         )

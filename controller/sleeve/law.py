@@ -51,7 +51,7 @@ _DEAD: Final = 10
 
 
 class Prior(NamedTuple):
-    """Mean and covariance (PARAMETERS,) of what is to be learned."""
+    """Mean and covariance of what is to be learned (PARAMETERS,), and of switches after that."""
 
     mean: Vector
     covariance: Vector
@@ -83,6 +83,7 @@ class SleeveLaw:
                 0.0,
             ]
         )
+        self._sheet_chamber_m3 = self._chamber_m3(self._flat)
         self._travel_s = sleeve.delay_s - sleeve.valve_delay_s
         self._detent_n = sleeve.detent_n
         self._nominal = self._solved()
@@ -96,7 +97,7 @@ class SleeveLaw:
         law[_FRICTION : _FRICTION + 4] *= np.exp(learned[FRICTION : VENT + 1])
         # A stroke's time goes with the rate at which a chamber fills: a larger chamber has a valve
         # that lets through as much more.
-        larger = self._chamber_m3(law) / self._chamber_m3(self._flat)
+        larger = self._chamber_m3(law) / self._sheet_chamber_m3
         law[_FEED : _FEED + 2] = self._nominal * larger * np.exp(learned[FEED : FEED + 2])
         law[-1] = max(learned[DETENT], 0.0) * DETENT_UNIT_N
         return law

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from operator import itemgetter
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from meshpoint.units import SECOND_US, US
 
 PLUS, MINUS = 0, 1
 """The valve that pushes towards +x, and the other."""
+
+
+NO_SPOOLS: Final = [(0.0, 0, False)]
+_TIME_S: Final = itemgetter(0)
 
 
 class Switch(NamedTuple):
@@ -72,24 +77,26 @@ def follow(
     """From `start` by the law, each switch's spool late by `late_s` beyond its valve's learned
     delay. seen: takes the places at first_us and every millisecond after."""
     begin_us: float = start.time_us
-    spools = np.empty((len(switches), 3))
+    known, late = learned.tolist(), late_s.tolist()
+    spools = []
     for k, (time_us, valve, on) in enumerate(switches):
-        delay_s = learned[(ON if on else OFF) + valve] + late_s[k]
-        spools[k] = (time_us - begin_us) * US + max(delay_s, 0.0), valve, on
-    if len(switches) > 1:
-        spools = spools[np.argsort(spools[:, 0], kind="stable")]
+        delay_s = known[(ON if on else OFF) + valve] + late[k]
+        spools.append(((time_us - begin_us) * US + max(delay_s, 0.0), valve, on))
+    spools.sort(key=_TIME_S)
     if start.is_rest:
-        moves_us = min(until_us, *(begin_us + spools[:1, 0] * SECOND_US)) if switches else until_us
+        moves_us = min(until_us, begin_us + spools[0][0] * SECOND_US) if spools else until_us
         if moves_us > begin_us:
-            spools[:, 0] -= (moves_us - begin_us) * US
+            passed_s = (moves_us - begin_us) * US
+            spools = [(time_s - passed_s, valve, on) for time_s, valve, on in spools]
             begin_us = moves_us
     x, way = start.state.copy(), np.zeros(WAY_WORDS)
-    x[2:4] = law.atmosphere_pa + (x[2:4] - law.atmosphere_pa) * math.exp(learned[LEFT])
+    air_pa, left = law.atmosphere_pa, math.exp(known[LEFT])
+    x[2], x[3] = air_pa + (x[2] - air_pa) * left, air_pa + (x[3] - air_pa) * left
     move(
         law.flat(learned, supply_pa, start.stop_m),
         x,
-        spools,
-        len(switches),
+        np.array(spools or NO_SPOOLS, dtype=np.float64),
+        len(spools),
         level_m,
         direction,
         (until_us - begin_us) * US,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -11,21 +10,20 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import FOREVER, TO_LEVEL, TO_TIME
+from meshpoint.controller.sleeve.cylinder import FOREVER, TO_TIME
+from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.fit import fit
 from meshpoint.controller.sleeve.law import (
     GAIN,
     LEFT,
     LEFT_SD,
-    OFF,
     OFFSET,
     OFFSET_UNIT_M,
-    ON,
     PARAMETERS,
     Prior,
     SleeveLaw,
 )
-from meshpoint.controller.sleeve.motion import Start, Switch, Way, follow
+from meshpoint.controller.sleeve.motion import Start, Way, follow
 from meshpoint.units import SECOND_US, US
 
 STILL_M: Final = 1.5e-4
@@ -51,6 +49,8 @@ STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
+SPEED_SAMPLES: Final = 4
+SLOWEST_M_S: Final = 0.02
 FIRST_FIT, LATER_FIT, LAST_FIT = 2, 1, 4
 """Iterations."""
 
@@ -79,29 +79,18 @@ class Contact(NamedTuple):
     """By what is known now of this stroke; None where the law does not explain it."""
 
 
-class TrackedSleeve:
-    """One main sleeve."""
+class TrackedSleeve(DrivenSleeve):
+    """One main sleeve, and what its movements have taught of it."""
 
     def __init__(self, law: SleeveLaw, prior: Prior) -> None:
-        self.law = law
+        super().__init__(law, prior)
         self._sheet = prior
-        self._known = prior
-        """What was known at the last rest."""
-        self.learned: Vector = prior.mean
-        self.late_s: Vector = np.zeros(0)
-        """By how much each switch's spool is later than its valve's learned delay."""
-        self.joint: Vector = prior.covariance
-        """Covariance of both."""
         self.movements = 0
         """From how many movements the law was learned."""
         self.version = 0
         """Changes when more was learned."""
-        self.start = Start(0, law.at_rest(0.0), True)
         self.rest_m = 0.0
         """The sensor's reading where the sleeve last rested."""
-        self.switches: list[Switch] = []
-        self.switch_sd_s = [0.0, 0.0]
-        """Scatter of each valve from switch to switch."""
         self.newest_us: int | None = None
         self.movement = Movement()
         self._rests = True
@@ -113,140 +102,20 @@ class TrackedSleeve:
         """No tooth stands in its way, and the law has been right since it left its rest."""
         self.contact: Contact | None = None
         """The newest contact."""
+        self.met_us: dict[int, float] = {}
+        """When it last came to the teeth on either side, as measured; whatever the law says."""
 
-    @property
-    def known(self) -> Prior:
-        """What was known at the last rest."""
-        return self._known
-
-    @known.setter
-    def known(self, known: Prior) -> None:
+    def know(self, known: Prior) -> None:
+        """This is known from now on, and nothing of a movement."""
         self._known = known
+        self.version += 1
         self._forget_movement()
-
-    def at_rest(self, x_m: float) -> TrackedSleeve:
-        """The same sleeve as it would be at rest there, without switches."""
-        other = TrackedSleeve(self.law, self._known)
-        other.start, other.switch_sd_s = Start(0, self.law.at_rest(x_m), True), self.switch_sd_s
-        return other
 
     def place_of(self, reading_m: float) -> float:
         """Where the sleeve is that the sensor shows there."""
         return _place_m(self.learned, reading_m)
 
-    # ---- switches
-
-    def commanded(self, valve: int, on: bool, time_us: int, now_us: int) -> None:
-        """A coil switches then; replaces what was still to come of that valve."""
-        self.expected(valve, [(time_us, on)], now_us)
-
-    def expected(self, valve: int, switches: list[tuple[int, bool]], now_us: int) -> None:
-        """What is to come of a valve is this."""
-        wanted = [Switch(time_us, valve, on) for time_us, on in switches]
-        self._keep(lambda one: one.valve != valve or one.time_us <= now_us or one in wanted)
-        for one in wanted:
-            if one not in self.switches and self.driven(valve, one.time_us) != one.on:
-                self._insert(one)
-
-    def _insert(self, switch: Switch) -> None:
-        at, valve = sum(one.time_us <= switch.time_us for one in self.switches), switch.valve
-        self.switches.insert(at, switch)
-        self.late_s = np.insert(self.late_s, at, 0.0)
-        row = PARAMETERS + at
-        self.joint = np.insert(np.insert(self.joint, row, 0.0, axis=0), row, 0.0, axis=1)
-        self.joint[row, row] = self.switch_sd_s[valve] ** 2
-
-    def withdrawn(self, valve: int, now_us: int) -> None:
-        """What was still to come of a valve does not come."""
-        self._keep(lambda one: one.valve != valve or one.time_us <= now_us)
-
-    def _keep(self, stays: Callable[[Switch], bool]) -> None:
-        keep = [k for k, one in enumerate(self.switches) if stays(one)]
-        if len(keep) == len(self.switches):
-            return
-        self.switches = [self.switches[k] for k in keep]
-        self.late_s = self.late_s[keep]
-        rows = [*range(PARAMETERS), *(PARAMETERS + k for k in keep)]
-        self.joint = self.joint[np.ix_(rows, rows)]
-
-    def late_of(self, switch: Switch) -> float:
-        """By how much its spool is late beyond its valve's delay, as far as it is known."""
-        known = self.switches.index(switch) if switch in self.switches else None
-        return 0.0 if known is None else float(self.late_s[known])
-
-    def covariance_with(self, switches: list[Switch]) -> Vector:
-        """Covariance of what is learned and of these switches' chance."""
-        rows = [PARAMETERS + self.switches.index(o) if o in self.switches else -1 for o in switches]
-        size = len(self.joint)
-        whole = np.zeros((size + 1, size + 1))
-        whole[:size, :size] = self.joint
-        at = [*range(PARAMETERS), *rows]
-        covariance = whole[np.ix_(at, at)]
-        for k, one in enumerate(switches):
-            if rows[k] < 0:
-                own = PARAMETERS + k
-                covariance[own, :] = covariance[:, own] = 0.0
-                covariance[own, own] = self.switch_sd_s[one.valve] ** 2
-        return covariance
-
-    def sd_of(self, switch: Switch) -> float:
-        """How uncertain it is when a switch's spool moves."""
-        covariance = self.covariance_with([switch])
-        pick = np.zeros(len(covariance))
-        pick[(ON if switch.on else OFF) + switch.valve] = pick[-1] = 1.0
-        return math.sqrt(max(float(pick @ covariance @ pick), 0.0))
-
-    def spool_us(self, switch: Switch) -> float:
-        """When its spool moves, as expected."""
-        k = (ON if switch.on else OFF) + switch.valve
-        return switch.time_us + (float(self.learned[k]) + self.late_of(switch)) * SECOND_US
-
-    def driven(self, valve: int, time_us: float) -> bool:
-        """Whether a coil is on then, by the commands."""
-        before = [one.on for one in self.switches if one.valve == valve and one.time_us <= time_us]
-        return before[-1] if before else bool(self.start.state[4 + valve])
-
-    # ---- where it goes
-
-    def ahead(
-        self,
-        supply_pa: float,
-        *,
-        ending: int,
-        until_us: float,
-        switches: list[Switch] | None = None,
-        unknowns: Vector | None = None,
-        **asked: float | Vector,
-    ) -> Way:
-        """Where the sleeve goes, by the commands so far or by these. unknowns: other ones than
-        those expected: what is learned, then the chance of each switch."""
-        if switches is None:
-            switches = self.switches
-        if unknowns is None:
-            unknowns = self.unknowns(switches)
-        return follow(
-            self.law,
-            unknowns[:PARAMETERS],
-            unknowns[PARAMETERS:],
-            supply_pa,
-            self.start,
-            switches,
-            ending=ending,
-            until_us=until_us,
-            **asked,  # type: ignore[arg-type]
-        )
-
-    def unknowns(self, switches: list[Switch]) -> Vector:
-        """What is learned, then the chance of each of these switches, as expected."""
-        return np.array([*self.learned, *map(self.late_of, switches)])
-
-    def at(self, time_us: int, supply_pa: float) -> Way:
-        """The state then."""
-        return self.ahead(supply_pa, ending=TO_TIME, until_us=time_us)
-
-    # ---- what is measured
-
-    def take(self, track: SleeveTrack, supply_pa: float) -> None:
+    def take(self, track: SleeveTrack) -> None:
         """The newest samples."""
         count = len(track.samples_m)
         if self.newest_us is not None and track.newest_us < self.newest_us:
@@ -258,26 +127,28 @@ class TrackedSleeve:
         self.newest_us = track.newest_us
         moves_us = self._moves_us()
         if moves_us is None or track.newest_us < moves_us:
-            self._rest(track, supply_pa)
+            self._rest(track)
             return
         self._rests = False
         for k in range(count - 1, -1, -1):
             self.movement.times_us.append(track.newest_us - k * SAMPLE_US)
             self.movement.readings_m.append(track.samples_m[k])
         if self.is_free:
-            self._follow(track, supply_pa)
+            self._follow(track)
         else:
-            self._go_on(track, supply_pa)
+            self._go_on(track)
+            for direction in (-1, 1):
+                self._see_contact(track, direction)
         if self._is_over(track):
-            self._settle(track, supply_pa)
+            self._settle(track)
 
     def _begin_anew(self, track: SleeveTrack) -> None:
         """The sensors' clock has gone back: nothing of before holds but what was learned."""
-        self.newest_us, self.contact, self._switched_us = None, None, 0
+        self.newest_us, self.contact, self.met_us, self._switched_us = None, None, {}, 0
         self.switches, self.late_s = [], np.zeros(0)
         self._forget_movement()
         self.start = Start(track.newest_us, self.start.state, True)
-        self._rest(track, 0.0)
+        self._rest(track)
 
     def _moves_us(self) -> float | None:
         """The earliest at which a sleeve at rest may begin to move; None while nothing moves it."""
@@ -288,13 +159,13 @@ class TrackedSleeve:
         first = self.switches[0]
         return self.spool_us(first) - 3.0 * self.sd_of(first) * SECOND_US
 
-    def _rest(self, track: SleeveTrack, supply_pa: float) -> None:
+    def _rest(self, track: SleeveTrack) -> None:
         """It rests: where, by its newest samples; its chambers may vent for some time yet."""
         newest = track.samples_m[:REST_SAMPLES]
         self.rest_m = sum(newest) / len(newest)
         state = self.law.at_rest(self.place_of(self.rest_m))
         if not self.start.is_rest:
-            pressures = self.at(track.newest_us, supply_pa).state[2:4]
+            pressures = self.at(track.newest_us).state[2:4]
             self.learned = self._known.mean
             if max(pressures) > self.law.atmosphere_pa + VENTED_PA:
                 state[2:4] = pressures
@@ -310,7 +181,7 @@ class TrackedSleeve:
         still = max(newest) - min(newest) < STILL_M
         return not driven and still and track.newest_us - last_us > STANDS_US
 
-    def _settle(self, track: SleeveTrack, supply_pa: float) -> None:
+    def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""
         if self.is_free:
             self._learn()
@@ -318,9 +189,9 @@ class TrackedSleeve:
         place_m = self.place_of(track.samples_m[0])
         if abs(place_m) > self.law.stroke_m - 1e-3:
             self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
-        self._rest(track, supply_pa)
+        self._rest(track)
 
-    def _follow(self, track: SleeveTrack, supply_pa: float) -> None:
+    def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
         seen = self.movement
         touched = self._touched()
@@ -329,16 +200,15 @@ class TrackedSleeve:
         left_m = 0.0
         if count >= LEAST_SAMPLES and moved:
             iterations = LAST_FIT if touched is not None else FIRST_FIT
-            left_m = self._fit(count, iterations, supply_pa)
+            left_m = self._fit(count, iterations)
         if touched is not None:
-            self._meet(touched, supply_pa)
+            self._meet(track, touched)
         elif (
             abs(left_m) > LOST_M
-            or abs(self.at(track.newest_us, supply_pa).m - self.place_of(track.samples_m[0]))
-            > 3.0 * LOST_M
+            or abs(self.at(track.newest_us).m - self.place_of(track.samples_m[0])) > 3.0 * LOST_M
         ):
             self._forget_movement()
-            self._go_on(track, supply_pa)
+            self._go_on(track)
 
     def _touched(self) -> int | None:
         """The first sample at which a tooth may hold the sleeve; None where it is clear of them."""
@@ -349,7 +219,7 @@ class TrackedSleeve:
                 return k
         return None
 
-    def _fit(self, count: int, iterations: int, supply_pa: float) -> float:
+    def _fit(self, count: int, iterations: int) -> float:
         """Returns how far the newest sample is from what was fitted (m)."""
         times = np.array(self.movement.times_us[:count])
         first_us = int(times[0])
@@ -362,24 +232,17 @@ class TrackedSleeve:
             state[0] = _place_m(unknowns, rest_m)
             start = self.start._replace(state=state)
             follow(
-                self.law, unknowns[:PARAMETERS], unknowns[PARAMETERS:], supply_pa, start,
+                self.law, unknowns[:PARAMETERS], unknowns[PARAMETERS:], self.supply_pa, start,
                 self.switches, ending=TO_TIME, until_us=float(times[-1]) + 1.0,
                 seen=seen, first_us=first_us,
             )  # fmt: skip
             return _reading_m(unknowns, seen[at])
 
-        n = len(self.switches)
-        prior = np.array([*self._known.mean, *([0.0] * n)])
-        covariance = np.zeros((PARAMETERS + n, PARAMETERS + n))
-        covariance[:PARAMETERS, :PARAMETERS] = self._known.covariance
-        for k, one in enumerate(self.switches):
-            covariance[PARAMETERS + k, PARAMETERS + k] = self.switch_sd_s[one.valve] ** 2
         begin = np.array([*self.learned, *self.late_s])
         measured = np.array(self.movement.readings_m[:count])
-        fitted = fit(readings, measured, prior, covariance, begin, iterations)
+        fitted = fit(readings, measured, self.prior_of_movement(), begin, iterations)
         self.learned, self.late_s = fitted.mean[:PARAMETERS], fitted.mean[PARAMETERS:]
         self.joint, self._left_m = fitted.covariance, fitted.left_m
-        self.version += 1
         return float(fitted.left_m[-1])
 
     @property
@@ -402,36 +265,37 @@ class TrackedSleeve:
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
             faded[LEFT, LEFT] = LEFT_SD**2
             self._known = Prior(mean, faded)
+            self.version += 1
             self.movements += 1
         else:
             self._forget_movement()
         self._left_m = np.zeros(0)
 
     def _forget_movement(self) -> None:
-        n = len(self.switches)
-        self.learned, self.late_s = self._known.mean, np.zeros(n)
-        self.joint = np.zeros((PARAMETERS + n, PARAMETERS + n))
-        self.joint[:PARAMETERS, :PARAMETERS] = self._known.covariance
-        for k, one in enumerate(self.switches):
-            self.joint[PARAMETERS + k, PARAMETERS + k] = self.switch_sd_s[one.valve] ** 2
-        self.version += 1
+        prior = self.prior_of_movement()
+        self.learned, self.late_s = prior.mean[:PARAMETERS], prior.mean[PARAMETERS:]
+        self.joint = prior.covariance
 
-    def _meet(self, touched: int, supply_pa: float) -> None:
+    def _meet(self, track: SleeveTrack, touched: int) -> None:
         """It comes to a gear's teeth."""
         direction = 1 if self.place_of(self.movement.readings_m[touched]) > 0.0 else -1
-        fitted = self._way_in(direction, supply_pa)
-        measured_us = self._crossed_us(touched, direction, fitted)
-        valve = 0 if direction > 0 else 1
+        fitted, is_explained = self._way_in(direction), self._is_explained
+        valve = valve_towards(direction)
         fires = [one for one in self.switches if one.on and one.valve == valve]
         found = self.learned, self.late_s, self.joint
-        self._forget_movement()
-        expected = self._way_in(direction, supply_pa)
+        if is_explained:
+            measured_us = self._see_contact(track, direction, fitted.speed_m_s)
+            self._forget_movement()
+        else:
+            self._forget_movement()
+            measured_us = self._see_contact(track, direction)
+        expected = self._way_in(direction)
         if fires and measured_us is not None and expected.crossed_us is not None:
             chance = self.unknowns(self.switches)
             chance[PARAMETERS:] = 0.0
-            if self._is_explained:
+            if is_explained:
                 chance[:PARAMETERS] = found[0]
-            explained = self._way_in(direction, supply_pa, chance).crossed_us
+            explained = self._way_in(direction, chance).crossed_us
             self.contact = Contact(
                 direction,
                 fires[-1].time_us,
@@ -439,42 +303,42 @@ class TrackedSleeve:
                 measured_us,
                 expected.crossed_us,
                 expected.crossed_us if explained is None else explained,
-                fitted.crossed_us if self._is_explained else None,
+                fitted.crossed_us if is_explained else None,
             )
         self.learned, self.late_s, self.joint = found
         readings = self.movement.readings_m
         newest = tuple(reversed(readings[-REST_SAMPLES:]))
-        self._go_on(SleeveTrack(self.movement.times_us[-1], newest), supply_pa)
+        self._go_on(SleeveTrack(self.movement.times_us[-1], newest))
         self._learn()
 
-    def _way_in(self, direction: int, supply_pa: float, unknowns: Vector | None = None) -> Way:
-        return self.ahead(
-            supply_pa,
-            unknowns=unknowns,
-            ending=TO_LEVEL,
-            until_us=self.movement.times_us[-1] + 100_000,
-            level_m=direction * self.law.face_m,
-            direction=float(direction),
-        )
+    def _way_in(self, direction: int, unknowns: Vector | None = None) -> Way:
+        until_us = self.movement.times_us[-1] + 100_000
+        level_m = direction * self.law.face_m
+        return self.to_level(direction, level_m, until_us, unknowns=unknowns)
 
-    def _crossed_us(self, touched: int, direction: int, way: Way) -> float | None:
-        """The contact by the samples: where the sleeve comes near the teeth, then at the law's
-        speed."""
-        seen = self.movement
-        if touched == 0:
+    def _see_contact(
+        self, track: SleeveTrack, direction: int, speed_m_s: float = 0.0
+    ) -> float | None:
+        """The contact by the newest samples: where the sleeve comes near the teeth, then at the
+        law's speed; without one, as fast as it came there."""
+        level_m = direction * (self.law.face_m - SHORT_M)
+        reading_m = direction * float(_reading_m(self.learned, np.array(level_m)))
+        passed_us = track.crossing_us(reading_m, direction)
+        if passed_us is None:
             return None
-        level_m = self.law.face_m - SHORT_M
-        after = direction * self.place_of(seen.readings_m[touched])
-        before = direction * self.place_of(seen.readings_m[touched - 1])
-        back = (after - level_m) / max(after - before, 1e-9)
-        speed = way.speed_m_s if way.crossed_us is not None else (after - before) * 1e3
-        return seen.times_us[touched] - back * SAMPLE_US + SHORT_M / max(speed, 0.02) * SECOND_US
+        if speed_m_s == 0.0:
+            at = int(track.newest_us - passed_us) // SAMPLE_US
+            near = track.samples_m[at : at + SPEED_SAMPLES]
+            speed_m_s = direction * (near[0] - near[-1]) / ((len(near) - 1) * SAMPLE_US * US)
+        met_us = passed_us + SHORT_M / max(speed_m_s, SLOWEST_M_S) * SECOND_US
+        self.met_us[direction] = met_us
+        return met_us
 
-    def _go_on(self, track: SleeveTrack, supply_pa: float) -> None:
+    def _go_on(self, track: SleeveTrack) -> None:
         """Goes on from what is measured: teeth, or something else, hold or move the sleeve."""
         self.is_free = False
         at_us = track.newest_us
-        state = self.at(at_us, supply_pa).state.copy()
+        state = self.at(at_us).state.copy()
         self.learned = self.learned.copy()
         self.learned[LEFT] = 0.0
         few = track.samples_m[:4]
@@ -498,9 +362,8 @@ class TrackedSleeve:
         slope[OFFSET], slope[GAIN] = OFFSET_UNIT_M, direction * self.law.stroke_m
         spread = covariance @ slope
         gain = spread / (float(slope @ spread) + STOP_SD_M**2)
-        self.known = Prior(
-            mean + gain * (reading_m - shown), covariance - np.outer(gain, slope @ covariance)
-        )
+        spread = covariance - np.outer(gain, slope @ covariance)
+        self.know(Prior(mean + gain * (reading_m - shown), spread))
 
 
 def _place_m(learned: Vector, reading_m: float) -> float:

@@ -295,18 +295,6 @@ class SleeveActuator:
     detent_m: float = quantity("detent_mm", 0.1, 10.0, MM, default=2.0 * MM)
     """From neutral to where the detent no longer acts."""
 
-    @property
-    def least_pull_s(self) -> float:
-        """From a pulling valve's current until a gear's teeth may be out, at the earliest: at the
-        sheet's speed all the way, less the delay's scatter."""
-        way_s = (self.stroke_m - self.to_contact_m) / self.speed_m_s
-        return self.valve_delay_s + max(0.0, way_s - self.delay_limit_s)
-
-    @property
-    def contact_speed_m_s(self) -> float:
-        """Speed of the sleeve as it meets the gear: it gets there under a constant force."""
-        return 2.0 * self.to_contact_m / (self.delay_s - self.valve_delay_s)
-
     def __post_init__(self) -> None:
         if self.to_contact_m >= self.stroke_m:
             contact_mm, stroke_mm = self.to_contact_m / MM, self.stroke_m / MM

@@ -135,25 +135,6 @@ def test_a_sensor_that_reports_a_fault_takes_all_gears_away_till_it_reports_none
         assert (view.split, view.range_) == ((Split.HIGH, Range.HIGH) if is_known else (None, None))
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-def test_a_contact_is_that_of_the_nominal_place_though_it_is_seen_four_tenths_before(
-    direction: int,
-) -> None:
-    """As far as the sleeve goes in that time at its speed; by the sensor's own rest, which goes to
-    a resting sleeve's newest sample by a twentieth each frame."""
-    view, still = GearboxView(SHEET), (0.0,) * 10
-    for rest_m, time_us in ((5e-4, 0), (9e-4, 20_000)):
-        view.sleeves_main(SleevesMain(0, 0, (rest_m, *still[1:]), still), time_us)
-    off_m = 0.05 * 5e-4 * 0.95 + 0.05 * 9e-4
-    level_m = SHEET.sleeve.to_contact_m - 4e-4 + off_m * direction
-    way = tuple(direction * (level_m + 1e-4 - 3e-4 * k) for k in range(10))
-    view.sleeves_main(SleevesMain(0, 0, way, still), 70_000)
-    ahead_us = 4e-4 / SHEET.sleeve.speed_m_s * 1e6
-    seen_us = view.contact_us(Sleeve.FIRST_SECOND, direction)
-    assert seen_us == pytest.approx(70_000 - 1000.0 / 3.0 + ahead_us)
-    assert view.contact_us(Sleeve.FIRST_SECOND, -direction) is None
-
-
 def test_a_gear_is_engaged_when_its_sleeve_comes_within_the_last_millimetre() -> None:
     """To the microsecond."""
     view, level_m = view_at(0, 0, STROKE, STROKE), SHEET.sleeve.stroke_m - 1e-3

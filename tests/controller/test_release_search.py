@@ -44,6 +44,7 @@ def predictor() -> GearPredictor:
         0.1,
         1.0,
         DELAY_US - 12_000,
+        0.3,
     )
 
 

@@ -8,7 +8,9 @@ import pytest
 from drawn_sleeve import CYLINDERS, DETENT_M, FACE, DrawnSleeve
 from sleeve_bench import GEAR, OTHER, VALVES, SleeveBench
 
+from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")
@@ -77,6 +79,37 @@ def test_what_was_learned_is_kept_and_another_controller_goes_on_with_it() -> No
     assert other.contact_us == pytest.approx(mine.contact_us, abs=30)
     assert other.sd_us == pytest.approx(mine.sd_us, rel=0.02)
     assert another.records().of(OTHER) is None
+
+
+@pytest.mark.parametrize("way", [0, 1])
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_a_contact_is_measured_when_the_sleeve_is_at_the_teeth(name: str, way: int) -> None:
+    """Within the time that it takes for 0.3 mm: so much a sensor may be off. A sleeve that has come
+    there before, and is fired once more, has not yet come there again."""
+    bench = SleeveBench(SHEET, DrawnSleeve(CYLINDERS[name], 3, 1e-3 * CHANCE_MS))
+    gear, none = (GEAR, OTHER) if way == 0 else (OTHER, GEAR)
+    for _ in range(2):
+        fire_us = bench.now_us
+        assert bench.sleeves.contact_us(gear, fire_us) is None
+        _, true_us = bench.fire(way)
+        measured_us = bench.sleeves.contact_us(gear, fire_us)
+        assert measured_us == pytest.approx(fire_us + 15_000 + true_us, abs=600)
+        assert bench.sleeves.contact_us(none, fire_us) is None
+        bench.back(way)
+
+
+def test_a_contact_is_measured_of_a_sleeve_that_moves_otherwise_than_the_law_says() -> None:
+    """Pushed at 0.08 m/s from its valve's current on."""
+    sleeves, view = Sleeves(SHEET), GearboxView(SHEET)
+    for newest_ms in range(10, 200, 10):
+        if newest_ms == 90:
+            sleeves.commanded(VALVES[0], True, 100_000)
+        way_m = [8e-5 * max(0, newest_ms - back - 100) for back in range(10)]
+        samples = tuple(min(way, 12e-3) for way in way_m)
+        view.sleeves_main(SleevesMain(0, 0, samples, (0.0,) * 10), 1_000 * newest_ms)
+        sleeves.take(view, 1_000 * newest_ms + 2_000)
+    contact_us = sleeves.contact_us(GEAR, 100_000)
+    assert contact_us == pytest.approx(100_000 + 1e6 * FACE / 0.08, abs=1_000.0)
 
 
 def test_a_sleeve_that_is_held_fast_teaches_nothing() -> None:

@@ -1,4 +1,4 @@
-"""A log's frames taken apart: runs in neutral, strokes, closings and switches of
+"""A log's frames taken apart: runs in neutral, contacts, closings and switches of
 valves of a gearbox of which it is known what happened when."""
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.gearbox import MainGear, Range, Sleeve, Split, load_sheet
 from meshpoint.testbench.identify.log_reader import (
-    STROKE_US,
     FreeRun,
     LogContent,
     LogReader,
-    Stroke,
 )
 from meshpoint.testbench.identify.valve_switches import BRAKE, Switch, ValveSwitches
 
@@ -202,42 +200,27 @@ def second_on(ms: int, action: ValveAction = ValveAction.ON_AT) -> dict[int, Val
     return {ms - 10: on, ms + 290: off}
 
 
-def test_a_stroke_is_reported_from_its_valve_s_activation_on_by_its_way_from_rest() -> None:
-    """Each sample once, a millisecond apart; the sensor's offset is what it showed in neutral."""
-    box = Box(pushed(520, 4e-4), commands=second_on(500), supply_pa=lambda ms: 9e5 + 10.0 * ms)
-    content = box.read(1.0)
-    (stroke,) = content.strokes
-    assert stroke.gear is MainGear.SECOND
-    assert stroke.fired_us == BEGIN_US + 500_300
-    assert stroke.rested_s is None
-    assert stroke.supply_pa == pytest.approx(9e5 + 10.0 * 510, abs=210.0)
-    ms = (stroke.time_us - BEGIN_US) / 1000.0
-    assert (np.diff(ms) == 1.0).all()
-    assert ms[0] <= 501
-    assert ms[-1] * 1000 >= 500_300 + STROKE_US
-    assert ms[-1] * 1000 < 500_300 + STROKE_US + STEP_US
-    way = [pushed(520)(int(each)) for each in ms]
-    assert stroke.way_m == pytest.approx(way, abs=2e-5)
-    assert content.messages["ValveCommand"] == 2
-    assert content.inexact == 0
-
-
-def test_strokes_of_one_sleeve_are_reported_with_how_long_it_has_rested() -> None:
-    """The other way, too: that is first gear."""
+def test_a_contact_is_reported_of_the_gear_whose_valve_was_switched_on() -> None:
+    """Of a sleeve at rest that comes to the faces 25.8 ms after it has begun to move; the other way
+    is first gear."""
     first = ValveCommand(main_first_action=ValveAction.ON_AT,
                          main_first_time_us=BEGIN_US + 1_300_300)  # fmt: skip
     box = Box(lambda ms: pushed(520)(ms) + pushed(1_320, 0.0, -1)(ms),
               commands={**second_on(500), 1_290: first})  # fmt: skip
-    strokes: list[Stroke] = list(box.read(1.7).strokes)
-    assert [stroke.gear for stroke in strokes] == [MainGear.SECOND, MainGear.FIRST]
-    assert strokes[1].rested_s == pytest.approx(0.8)
-    assert strokes[1].way_m.max() == pytest.approx(STROKE_M, abs=2e-5)
+    content = box.read(1.7)
+    ms = [1e-3 * (one.measured_us - BEGIN_US) for _, one in content.contacts]
+    assert [gear for gear, _ in content.contacts] == [MainGear.SECOND, MainGear.FIRST]
+    assert [one.fired_us - BEGIN_US for _, one in content.contacts] == [500_300, 1_300_300]
+    meets_ms = 40.0 * math.sqrt(SHEET.sleeve.to_contact_m / STROKE_M)
+    assert ms == pytest.approx([520.0 + meets_ms, 1_320.0 + meets_ms], abs=1.0)
+    assert content.moved == {Sleeve.FIRST_SECOND}
+    assert content.inexact == 0
 
 
-def test_a_stroke_whose_valve_was_switched_at_once_is_counted_alone() -> None:
+def test_a_firing_at_no_commanded_time_is_counted() -> None:
     content = Box(pushed(520), commands=second_on(500, ValveAction.ON_NOW)).read(1.0)
-    assert not list(content.strokes)
     assert content.inexact == 1
+    assert Box().read(0.5).moved == set()
 
 
 def closing_clutch(begun_ms: int, ms_taken: int) -> Trajectory:

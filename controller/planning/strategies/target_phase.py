@@ -73,6 +73,8 @@ PROBE_US: Final = 500
 CLEAR_US: Final = 10_000
 """The earliest firing is so much less before the release than the sleeve takes to its gear: it
 meets the gear when the brake has been released."""
+SLOWEST_M_S: Final = 0.05
+"""A sleeve that meets a gear at all does so no slower."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -88,7 +90,6 @@ class TargetPhase:
         self._dog = sheet.dog
         self._window, self._prices = window, settings.prices
         self._brake_nm_per_pa = sheet.brake_nm_per_pa
-        self._overlap_s = sheet.dog.most_overlap_m / sheet.sleeve.contact_speed_m_s
         self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
@@ -228,7 +229,7 @@ class TargetPhase:
             pitch_rad=dog.pitch_rad,
             half_gap_rad=dog.backlash_rad / 2.0,
             target_rad=self._target_rad,
-            overlap_s=self._overlap_s,
+            overlap_s=dog.most_overlap_m / max(predictor.contact_speed_m_s, SLOWEST_M_S),
             delay_sd_s=predictor.delay_sd_s,
             miss_s=prices.miss_s,
             block_s=prices.block_s,
