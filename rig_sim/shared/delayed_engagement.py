@@ -70,7 +70,8 @@ class EngagementByDelay(Engagement[AxisT], Generic[AxisT]):
             if under_way and not sleeve.stands(time_us):
                 sleeve.let_go(time_us)
         elif sleeve.state is SleeveState.RETRACT and sleeve.meshed:
-            sleeve.hold(time_us)
+            if not sleeve.has_set_off(time_us):
+                sleeve.hold(time_us)
 
     @abstractmethod
     def _delay_s(self, name: Sleeve, direction: int) -> float:
