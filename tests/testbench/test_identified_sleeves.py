@@ -45,17 +45,16 @@ def pushed(delay_s: float, gear: MainGear = MainGear.FIRST, supply_pa: float = S
 
 
 def crossing_of(shares: list[float], at_ms: list[float]) -> float:
-    """When the share is one by the parabola of least squares through these, from its normal
-    equations."""
-    share, at = np.array(shares), np.array(at_ms) - at_ms[-1]
-    basis = np.stack((np.ones(share.size), at, at**2))
-    newest, slope, bend = np.linalg.solve(basis @ basis.T, basis @ share)
-    ways = np.roots((bend, slope, newest - 1.0))
-    return float(at_ms[-1] + min(ways[ways > 0.0])) * 1e-3
+    """When the root is one by the line of least squares through these, weighed by their shares,
+    from its normal equations."""
+    share, at = np.array(shares), np.array(at_ms)
+    basis = np.stack((np.ones(share.size), at))
+    offset, slope = np.linalg.solve((basis * share) @ basis.T, (basis * share) @ np.sqrt(share))
+    return float((1.0 - offset) / slope) * 1e-3
 
 
-def test_the_parabola_goes_through_the_samples_between_30_and_90_percent_of_the_way() -> None:
-    """The others are off it: each that is taken too much, or left out, moves the contact."""
+def test_the_line_goes_through_the_samples_between_six_and_ninety_percent_of_the_way() -> None:
+    """The others are off the line: each that is taken too much, or left out, moves the contact."""
     shares = [0.0, 0.03, 0.058, 0.065, 0.10, 0.17, 0.25, 0.35, 0.47, 0.60, 0.74, 0.89, 0.91, 1.0]
     off_ms = [0.0, 0.7, -0.9, 0.6, -0.3, 0.2, 0.1, -0.2, 0.3, -0.1, 0.2, -0.3, 0.9, 2.0]
     at_ms = [
@@ -63,32 +62,17 @@ def test_the_parabola_goes_through_the_samples_between_30_and_90_percent_of_the_
     ]
     found = contact_of(stroke_of(shares, at_ms), SHEET)
     assert found is not None
-    assert found.delay_s == pytest.approx(crossing_of(shares[7:12], at_ms[7:12]), abs=1e-9)
+    assert found.delay_s == pytest.approx(crossing_of(shares[3:12], at_ms[3:12]), abs=1e-9)
     assert found.supply_pa == SUPPLY_PA
 
 
 def test_a_sleeve_that_fell_back_is_timed_from_its_last_start_on() -> None:
-    """What it did before it came back to below 30 percent was another move."""
-    shares = [0.0, 0.4, 0.05, 0.10, 0.17, 0.25, 0.35, 0.47, 0.60, 0.74, 0.89, 0.95]
+    """What it did before it came back to below six percent was another move."""
+    shares = [0.0, 0.2, 0.05, 0.10, 0.17, 0.25, 0.35, 0.47, 0.60, 0.74, 0.89, 0.95]
     at_ms = [10.0, 12.0, 19.0, *[12.0 + 33.0 * math.sqrt(share) for share in shares[3:]]]
     found = contact_of(stroke_of(shares, at_ms), SHEET)
     assert found is not None
     assert found.delay_s == pytest.approx(0.045, abs=1e-9)
-
-
-def test_a_sleeve_between_two_chambers_is_timed_to_50_us() -> None:
-    """Its way grows with the cube of the time; a detent has held it for the first 30 percent."""
-    at_ms = np.arange(0.0, 50.0)
-    shares = np.maximum((at_ms - 12.0) / 33.0, 0.0) ** 3
-    shares[shares < 0.3] *= 0.5
-    found = contact_of(stroke_of(shares.tolist(), at_ms.tolist()), SHEET)
-    assert found is not None
-    assert found.delay_s == pytest.approx(0.045, abs=50e-6)
-
-
-def test_a_sleeve_that_does_not_start_in_neutral_is_not_timed() -> None:
-    assert contact_of(steady(np.linspace(0.5, 1.0, 30).tolist()), SHEET) is not None
-    assert contact_of(steady(np.linspace(0.6, 1.0, 30).tolist()), SHEET) is None
 
 
 def test_a_sleeve_that_a_tooth_stops_half_way_or_that_never_came_there_is_not_timed() -> None:
@@ -107,15 +91,14 @@ def test_a_sleeve_that_a_tooth_stops_half_way_or_that_never_came_there_is_not_ti
         (5.0, 27.0, True),
         (5.0, 23.0, False),
         (0.5, 45.0, True),
-        (-50.0, 45.0, True),
-        (-60.0, 45.0, False),
+        (-0.5, 45.0, False),
+        (-0.5, 67.0, False),
     ],
 )
 def test_a_contact_is_within_20_ms_of_the_sheet_s_and_begins_after_the_command(
     valve_ms: float, delay_ms: float, is_timed: bool
 ) -> None:
-    """The data sheet has 45 ms. A sleeve that had come 30 % of its way before it was fired, 62 ms
-    before contact in the last line, was moved by another valve."""
+    """The data sheet has 45 ms. A sleeve that moved before it was fired was moved by another."""
     roots = np.linspace(0.3, 1.0, 20).tolist()
     found = contact_of(steady(roots, 1e-3 * valve_ms, 1e-3 * delay_ms), SHEET)
     assert (found is not None) is is_timed

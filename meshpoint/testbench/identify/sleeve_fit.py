@@ -1,10 +1,11 @@
 """How long a sleeve takes from its valve's activation to its gear's teeth, stroke by stroke.
 
-Whatever the sleeve does on its way, over the last part of it the way grows nearly with the square
-of the time: a parabola through the samples from 30 to 90 % of the way gives the contact, whatever
-stops the sleeve there. It is exact under a constant force; of a chamber that fills, where the way
-grows with the cube of the time, it is off by 0.05 ms. Delays are reported at the log's mean supply
-pressure.
+Under a constant force the way grows with the square of the time since the valve has opened:
+
+    sqrt(x / x_c) = (t - t_v) / (t_c - t_v)
+
+so a line through the roots of the measured ways gives the contact t_c, whatever stops the sleeve
+there. Delays are reported at the log's mean supply pressure.
 """
 
 from __future__ import annotations
@@ -22,14 +23,13 @@ from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.testbench.identify.log_reader import Stroke
 from meshpoint.units import US
 
-FROM, TO = 0.3, 0.9
-"""Shares of the way to the teeth that are used: before, a detent rules; after, the teeth."""
+FROM, TO = 0.06, 0.9
+"""Shares of the way to the teeth that are used: before, noise rules; after, the teeth."""
 PRESSURE_EXPONENT: Final = 0.5
 """The travel goes with the supply pressure to the power of less this: near enough in one log."""
-LEAST_SAMPLES: Final = 4
-MOST_REST: Final = 0.02
-"""RMS of the shares about the parabola: twice the sensor's noise. A sleeve that was held up on its
-way is no sample."""
+LEAST_SAMPLES: Final = 8
+MOST_REST: Final = 0.05
+"""RMS of the roots about the line; a sleeve that was held up on its way is no sample."""
 LEAST_CORRELATION, MOST_CORRELATION = 0.3, 0.8
 """A sleeve's strokes go together, by seals, grease and warmth that change slowly."""
 
@@ -44,25 +44,27 @@ class Contact(NamedTuple):
 
 
 def contact_of(stroke: Stroke, sheet: GearboxSheet) -> Contact | None:
-    """None where the sleeve did not go there from neutral in one move, after it was fired."""
+    """None where the sleeve did not go there in one move."""
+    to_contact = sheet.sleeve.to_contact_m
     seconds = (stroke.time_us - stroke.fired_us) * US
-    share = stroke.way_m / sheet.sleeve.to_contact_m
+    share = stroke.way_m / to_contact
     there = np.flatnonzero(share >= TO)
-    end = int(there[0]) if there.size else 0
+    if not there.size:
+        return None
+    end = int(there[0])
     below = np.flatnonzero(share[:end] < FROM)
-    begin = int(below[-1]) + 1 if below.size else end
-    if end - begin < LEAST_SAMPLES or seconds[begin] < 0.0:
+    begin = int(below[-1]) + 1 if below.size else 0
+    if end - begin < LEAST_SAMPLES:
         return None
-    near, since = share[begin:end], seconds[begin:end] - seconds[end - 1]
-    bend, slope, newest = np.polyfit(since, near, 2)
-    rest = float(np.sqrt(np.mean((near - np.polyval((bend, slope, newest), since)) ** 2)))
-    root = slope**2 + 4.0 * bend * (1.0 - newest)
-    if slope <= 0.0 or root < 0.0 or rest > MOST_REST:
+    root, at = np.sqrt(np.maximum(share[begin:end], 0.0)), seconds[begin:end]
+    # Noise of x is constant, so that of its root is 1 / (2 root): large roots weigh more.
+    slope, offset = np.polyfit(at, root, 1, w=root)
+    if slope <= 0.0 or float(np.std(root - slope * at - offset)) > MOST_REST:
         return None
-    delay_s = float(seconds[end - 1] + 2.0 * (1.0 - newest) / (slope + math.sqrt(root)))
-    if abs(delay_s - sheet.sleeve.delay_s) > FAR_S:
+    valve_s, delay_s = -offset / slope, (1.0 - offset) / slope
+    if abs(delay_s - sheet.sleeve.delay_s) > FAR_S or valve_s < 0.0:
         return None
-    return Contact(stroke.gear, delay_s, stroke.supply_pa)
+    return Contact(stroke.gear, float(delay_s), stroke.supply_pa)
 
 
 @dataclass(frozen=True)
