@@ -69,7 +69,11 @@ class EngagementByDelay(Engagement[AxisT], Generic[AxisT]):
             under_way = sleeve.state in (SleeveState.APPROACH, SleeveState.FACE, SleeveState.ENTER)
             if under_way and not sleeve.stands(time_us):
                 sleeve.let_go(time_us)
-        elif sleeve.state is SleeveState.RETRACT and sleeve.meshed:
+        elif (
+            sleeve.state is SleeveState.RETRACT
+            and sleeve.meshed
+            and not sleeve.has_set_off(time_us)
+        ):
             sleeve.hold(time_us)
 
     @abstractmethod

@@ -166,6 +166,6 @@ class DelayedSleeve(SleeveAxis):
         self.overlapped()
 
     def hold(self, time_us: float) -> None:
-        """The release is given up while the teeth still overlap: back to full stroke."""
+        """The release is given up before the sleeve has moved: on to full stroke."""
         self.unload_us = NEVER_US
         super().hold(time_us)

@@ -37,6 +37,7 @@ from meshpoint.testbench.version import product_version
 from meshpoint.units import DEG
 
 State = ControllerState
+AHEAD_OF_GEAR = (State.COASTING, State.ENGAGING, State.CLUTCH_CLOSING)
 
 
 def engagements(loop: Loop, *events: EngagementEvent) -> list[ReferenceEngagement]:
@@ -135,24 +136,26 @@ def test_what_no_gearbox_can_do_is_refused(one_shift: Loop) -> None:
 
 
 def test_the_sleeve_is_fired_once_and_the_brake_is_off_by_then(one_shift: Loop) -> None:
-    """From commands alone: once the old gear is out no step drives brake and main valves together.
-    Before, the brake's air is on its way while a valve still pulls the old gear out."""
+    """From commands alone: once the old gear is out, and its sleeve comes to rest in neutral, one
+    main valve is driven, once, and in no step the brake with it. Before, the brake's air is on its
+    way while valves still pull the old gear out and stop its sleeve."""
     drive = (ValveAction.ON_NOW, ValveAction.ON_AT)
-    fired: list[bool] = []
-    is_out = False
-    for command in one_shift.of(ValveCommand):
-        main = (
-            command.main_first_action,
-            command.main_second_action,
-            command.main_crawl_action,
-            command.main_third_action,
-        )
-        is_out |= bool(fired) and fired[-1] and not any(action in drive for action in main)
-        together = command.brake_action in drive and any(action in drive for action in main)
-        assert not (is_out and together)
-        fired.append(command.main_second_action in drive)
-    # First gear is pulled out by the valve of second, then second is fired: two pulses.
-    assert [b for a, b in pairwise(fired) if a is not b] == [True, False, True, False]
+    fired: list[tuple[bool, ...]] = []
+    state = State.STARTING
+    for _, message in one_shift.messages:
+        if isinstance(message, ControllerStatus):
+            state = message.state
+        elif isinstance(message, ValveCommand) and state in (State.SYNCHRONISING, *AHEAD_OF_GEAR):
+            main = (
+                message.main_first_action,
+                message.main_second_action,
+                message.main_crawl_action,
+                message.main_third_action,
+            )
+            fired.append(tuple(action in drive for action in main))
+            assert not (message.brake_action in drive and any(fired[-1]))
+    driven = [after for before, after in pairwise(fired) if before != after]
+    assert driven == [(False, True, False, False), (False,) * 4]
     assert one_shift.outcomes[0].attempts == 1
 
 
