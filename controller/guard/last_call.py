@@ -23,7 +23,6 @@ def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
     if layshaft is None or main is None:
         return True
     _, late_us = case.contact_us(valve, span)
-    most = least = layshaft.newest.omega_rad_s
     # The main shaft goes on swinging as it has.
     main_least, main_most = main.between(late_us)
     most = least = layshaft.newest.omega_rad_s

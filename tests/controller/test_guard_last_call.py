@@ -36,7 +36,7 @@ def at(now_us: int) -> GuardInputs:
     """Neutral, second gear near, at another time; how the shafts swing is not known."""
     earlier_us = now_us - NOW
     moved = [speed._replace(time_us=speed.time_us + earlier_us) for speed in speeds()]
-    return NEUTRAL._replace(now_us=now_us, speeds=tuple(moved))
+    return NEUTRAL._replace(now_us=now_us, speeds=tuple(moved), swings=(None, None))
 
 
 def swinging(
