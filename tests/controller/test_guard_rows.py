@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import pytest
-from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, payload, place, ready, speeds
+from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, calm, payload, place, ready, speeds
 from test_guard_driveline import CLOSE, IN_GEAR, INPUT_RPM, OPEN, engine
 
 from meshpoint.controller.guard import driveline, rules
@@ -33,7 +33,7 @@ def too_fast() -> GuardInputs:
     ratio = LIMITS.main[int(ValveName.MAIN_FIRST)].ratio
     main = 1.01 * LIMITS.input_max_rad_s * SHEET.split_mesh(Split.HIGH).ratio * ratio
     turning = (None, ShaftSpeed(NOW, main / ratio), ShaftSpeed(NOW, main), None)
-    return NEUTRAL._replace(speeds=turning)
+    return NEUTRAL._replace(speeds=turning, swings=calm(turning))
 
 
 def without(shaft: int) -> GuardInputs:

@@ -42,6 +42,8 @@ def test_more_air_makes_the_stroke_shorter_and_its_end_faster() -> None:
 def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_there(
     gear: MainGear,
 ) -> None:
+    """But for a tenth of a millimetre, by which its detent may move it on while the chambers
+    vent."""
     sleeves, side = Sleeves(SHEET), SLEEVE_OF_MAIN[gear]
     at(sleeves, NOW_US)
     sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
@@ -56,7 +58,7 @@ def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_the
     sleeves.commanded(OPPOSITE[gear], False, halt.off_us)
     stands = sleeves.place(side.sleeve, halt.off_us + 100_000)
     assert not stands.is_moving
-    assert stands.m == pytest.approx(halt.m, abs=1e-5)
+    assert stands.m == pytest.approx(halt.m, abs=1e-4)
     assert abs(stands.m) < SHEET.sleeve.to_contact_m
     refire_us = halt.off_us + 100_000
     again = sleeves.stroke(gear, refire_us)
