@@ -321,9 +321,13 @@ def aimed(gear: int, input_rad_s: float = 150.0, **other: Any) -> Box:
 
 
 UP, DOWN, SPLIT, RANGED = (7, 150.0, 9), (9, 110.0, 7), (7, 150.0, 8), (6, 190.0, 7)
+FAST_UP: Final = (7, 190.0, 9)
+"""The brake is released before the sleeve is due; on the way UP, in the same step."""
 WAYS: Final = {
     UP: [State.IN_GEAR, State.CLUTCH_OPENING, State.DISENGAGING, State.SYNCHRONISING,
-         State.COASTING, State.ENGAGING, State.CLUTCH_CLOSING, State.IN_GEAR],
+         State.ENGAGING, State.CLUTCH_CLOSING, State.IN_GEAR],
+    FAST_UP: [State.IN_GEAR, State.CLUTCH_OPENING, State.DISENGAGING, State.SYNCHRONISING,
+              State.COASTING, State.ENGAGING, State.CLUTCH_CLOSING, State.IN_GEAR],
     DOWN: [State.IN_GEAR, State.CLUTCH_OPENING, State.DISENGAGING, State.SPEED_RAISING,
            State.CLUTCH_PARTING, State.COASTING, State.ENGAGING, State.CLUTCH_CLOSING,
            State.IN_GEAR],

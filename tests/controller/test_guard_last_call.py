@@ -1,14 +1,19 @@
-"""Row 3 at the last moment at which a fired sleeve can be withdrawn: what the shafts may do until
-contact is bounded by what they have done within a period."""
+"""Row 3 in the last step in which a fired sleeve's valve going off stops it short of the teeth, and
+in the last one before contact: what the shafts may do until contact is bounded by what they have
+done within a period."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
-from guard_cases import NEUTRAL, NOW, SHEET, encoded, payload, ready, speeds
+from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, encoded, payload, ready, speeds
 from test_guard_view import LAYSHAFT_EDGES, MAIN_EDGES, SLOW, frame, turning, view
 
+from meshpoint.controller.guard.limits import REACT_US
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 from meshpoint.controller.guard.swing import Swing, SwingMemory
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.valve_name import ValveName
@@ -22,6 +27,9 @@ FIRED_US = NOW - 31_000
 """The sleeve may meet its gear from 9 ms after NOW on, and does within 19 ms: 29 ms after the
 newest speeds, which are 10 ms old."""
 AHEAD_S = 0.029
+STOPS_US = FIRED_US + math.ceil(longest_pulse_us(LIMITS, 0.0))
+"""A valve that is off then has not moved its sleeve to the teeth."""
+LAST_STOP_US = STOPS_US - 1
 CYCLE_US = 10_000
 
 
@@ -118,6 +126,59 @@ def test_the_last_call_is_from_a_step_before_the_earliest_contact_until_it(
 ) -> None:
     """A command of the next step can act 15 ms from now."""
     assert judged(at(NOW + later_us)) == row
+
+
+@pytest.mark.parametrize(
+    ("now_us", "row"),
+    [(STOPS_US - REACT_US - 1, None), (STOPS_US - REACT_US, 3), (STOPS_US - 1, 3), (STOPS_US, None)],
+)
+def test_the_last_stop_is_the_last_step_in_which_the_valve_going_off_stops_the_sleeve(
+    now_us: int, row: int | None
+) -> None:
+    """Judged with a swing that is not known."""
+    assert judged(at(now_us)) == row
+
+
+def at_the_last_stop(**swing: float) -> GuardInputs:
+    """As `swinging`, in that step."""
+    seen, earlier_us = swinging(**swing), LAST_STOP_US - NOW
+
+    def moved(speed: ShaftSpeed) -> ShaftSpeed:
+        return speed._replace(time_us=speed.time_us + earlier_us)
+
+    swings = [each._replace(newest=moved(each.newest)) for each in seen.swings if each is not None]
+    layshaft, main = swings
+    turning = tuple(moved(speed) for speed in seen.speeds if speed is not None)
+    return seen._replace(now_us=LAST_STOP_US, speeds=turning, swings=(layshaft, main))
+
+
+@pytest.mark.parametrize(
+    ("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)], ids=["in the window", "out of it"]
+)
+def test_at_the_last_stop_the_main_shaft_may_go_on_as_it_has_until_contact(
+    beyond_rpm: float, row: int | None
+) -> None:
+    ahead_s = AHEAD_S + 1e-6 * (NOW - LAST_STOP_US)
+    falls_rpm_s, rises_rpm_s = -(110.0 + beyond_rpm) / ahead_s, (90.0 + beyond_rpm) / ahead_s
+    assert judged(at_the_last_stop(falls_rpm_s=falls_rpm_s)) == row
+    assert judged(at_the_last_stop(rises_rpm_s=rises_rpm_s)) == row
+    fast = {"falls_rpm_s": -1e5, "rises_rpm_s": 1e5}
+    assert judged(at_the_last_stop(down_rpm=110.0 + beyond_rpm, up_rpm=0.0, **fast)) == row
+    assert judged(at_the_last_stop(down_rpm=0.0, up_rpm=90.0 + beyond_rpm, **fast)) == row
+
+
+def test_at_the_last_stop_the_layshaft_is_taken_to_keep_its_speed() -> None:
+    """The brake may slow it still: at the last call it is judged how far it can have fallen."""
+    assert judged(at_the_last_stop(layshaft_rpm_s=-1e4)) is None
+    assert judged(swinging(layshaft_rpm_s=-1e4)) == 3
+
+
+@pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])
+def test_at_the_last_stop_a_swing_that_is_not_known_forbids(unknown: int) -> None:
+    seen = at_the_last_stop()
+    assert judged(seen) is None
+    layshaft, main = (None if k == unknown else each for k, each in enumerate(seen.swings))
+    assert judged(seen._replace(swings=(layshaft, main))) == 3
 
 
 def test_what_is_taken_back_can_be_fired_anew_once_it_is_seen_to_stand() -> None:

@@ -10,6 +10,7 @@ from typing import Final
 import pytest
 from shift_box import (
     DOWN,
+    FAST_UP,
     FIRST_SECOND,
     SHEET,
     SPLIT,
@@ -149,7 +150,7 @@ def test_a_main_shaft_that_swings_above_the_limit_for_a_moment_ends_no_raise() -
 
 
 WANTS_NEUTRAL: Final = [
-    (UP, State.SYNCHRONISING), (UP, State.COASTING), (DOWN, State.SPEED_RAISING),
+    (UP, State.SYNCHRONISING), (FAST_UP, State.COASTING), (DOWN, State.SPEED_RAISING),
     (DOWN, State.CLUTCH_PARTING), (DOWN, State.COASTING),
 ]  # fmt: skip
 

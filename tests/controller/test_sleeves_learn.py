@@ -63,12 +63,13 @@ def test_a_learned_sleeve_is_stopped_short_of_the_teeth_and_goes_on_as_predicted
     assert FACE not in bench.sleeve.reached_us
     assert abs(bench.sleeve.x - halt.m) < 3.0 * halt.sd_m
     stands_m, from_neutral_us = bench.sleeve.x, bench.sleeves.from_neutral(GEAR).contact_us
+    again = bench.sleeves.stroke(GEAR, bench.now_us + 15_000)
     predicted_us, true_us = bench.fire()
     if stands_m > DETENT_M:
         assert true_us < from_neutral_us - 5_000
     else:
         assert abs(true_us - from_neutral_us) < 1_500.0, "its detent took it back to neutral"
-    assert abs(predicted_us - true_us) < 1_500.0
+    assert abs(predicted_us - true_us) < 2.0 * again.sd_us < 3_000.0
 
 
 def test_what_was_learned_is_kept_and_another_controller_goes_on_with_it() -> None:
