@@ -186,14 +186,14 @@ class Case(NamedTuple):
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to
         stand: pulses in a row work like a longer one."""
-        drive = self.state.drives.get(valve)
+        drive = self.drive_before(valve)
         return span.start_us if drive is None else drive.start_us
 
     def _brakes_us(self, valve: int, span: Span) -> float:
         """For so long this valve may be on against the push of the other one, which was on for so
         much longer than this one and is off just now; 0 where there is none, or the sleeve is seen
         to move on toward this valve's gear."""
-        before, own = self.last_drive(OTHER_OF_MAIN[valve]), self.state.drives.get(valve)
+        before, own = self.last_drive(OTHER_OF_MAIN[valve]), self.drive_before(valve)
         gear = self.limits.main[valve]
         if (
             before is None
@@ -233,11 +233,17 @@ class Case(NamedTuple):
 
     def drives_before(self, sleeve: int) -> list[Drive]:
         """What has set a main sleeve going since it stood last, and does not drive it any more."""
-        found = [
-            self.state.drives.get(valve) if self.spans[valve] else self.last_drive(valve)
-            for valve in self.limits.valves_of(sleeve)
-        ]
+        found = [self.drive_before(valve) for valve in self.limits.valves_of(sleeve)]
         return [drive for drive in found if drive is not None]
+
+    def drive_before(self, valve: int) -> Drive | None:
+        """How a main valve was driven, since its sleeve was last seen to stand, before the span
+        that is asked for; one that goes on does not count."""
+        was = self.state.spans[valve]
+        goes_on = was is not None and was.end_us > self.seen.now_us
+        if goes_on and self.spans[valve] is not None:
+            return self.state.drives.get(valve)
+        return self.last_drive(valve)
 
     def moves_on(self, sleeve: int) -> bool:
         """Whether a main sleeve may be on its way to a gear's teeth though its valve is off: it was

@@ -41,7 +41,7 @@ def remember_drives(case: Case) -> None:
         if span is not None:
             known_m = state.stood_m.get(valve, way_m)
             stood_m[valve] = way_m if case.has_not_set_off(span) else known_m
-        elif (drive := case.last_drive(valve)) is not None:
+        if (drive := case.drive_before(valve)) is not None:
             state.drives[valve] = drive
     state.stood_m = stood_m
     state.engages = frozenset(valve for valve, _ in case.engaging())

@@ -130,7 +130,12 @@ def test_the_last_call_is_from_a_step_before_the_earliest_contact_until_it(
 
 @pytest.mark.parametrize(
     ("now_us", "row"),
-    [(STOPS_US - REACT_US - 1, None), (STOPS_US - REACT_US, 3), (STOPS_US - 1, 3), (STOPS_US, None)],
+    [
+        (STOPS_US - REACT_US - 1, None),
+        (STOPS_US - REACT_US, 3),
+        (STOPS_US - 1, 3),
+        (STOPS_US, None),
+    ],
 )
 def test_the_last_stop_is_the_last_step_in_which_the_valve_going_off_stops_the_sleeve(
     now_us: int, row: int | None

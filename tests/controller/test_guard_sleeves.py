@@ -132,6 +132,33 @@ def test_after_a_short_push_it_brakes_as_long_as_it_stops_short_by_itself(
     assert row(guard, at(25), {FIRST: (OFF_AT, 22 + off_ms)}) == forbidden
 
 
+def test_a_sleeve_fired_again_in_flight_is_aborted_again() -> None:
+    """Each push has lasted longer than its brake: 16 ms against 12."""
+    guard = aborted()
+    for fired_ms in (44.0, 84.0):
+        assert row(guard, at(fired_ms - 4), {SECOND: (ON_AT, fired_ms)}) is None
+        assert row(guard, at(fired_ms + 6), {SECOND: (ON_AT, fired_ms)}) is None
+        assert row(guard, at(fired_ms + 16), {FIRST: (ON_AT, fired_ms + 18)}) is None
+        assert row(guard, at(fired_ms + 26), {FIRST: (OFF_AT, fired_ms + 30)}) is None
+    assert row(guard, at(120)) is None
+
+
+def test_a_valve_brakes_one_push_once() -> None:
+    """On for 16 ms, braked for 8: 8 are left, and what is on from 32 ms may be off at 45."""
+    guard = fired()
+    assert row(guard, at(20), {FIRST: (ON_NOW, 0)}) is None
+    assert row(guard, at(25), {FIRST: (OFF_AT, 28)}) is None
+    assert row(guard, at(30), {FIRST: (ON_AT, 32)}) == 3
+
+
+def test_two_short_pushes_are_not_braked_as_if_they_were_one_long_one() -> None:
+    """5 ms each, 31 apart: the brake could be off after 15."""
+    guard = fired()
+    assert row(guard, at(9)) is None
+    assert row(guard, at(36), {SECOND: (ON_AT, 40)}) is None
+    assert row(guard, at(45), {FIRST: (ON_NOW, 0)}) == 3
+
+
 def test_both_valves_of_an_aborted_sleeve_are_never_on_together() -> None:
     assert row(fired(), at(20), {SECOND: (ON_AT, 4), FIRST: (ON_AT, 22)}) == 1
     assert row(fired(), at(20), {SECOND: (OFF_AT, 30), FIRST: (ON_AT, 29)}) == 1
