@@ -141,7 +141,7 @@ class Box:
             for sleeve, at in self.position_m.items():
                 tracks[sleeve].insert(0, at)
         self.now_us += TICK_US
-        self._sense({sleeve: tuple(samples[:10]) for sleeve, samples in tracks.items()})
+        self.sense({sleeve: tuple(samples[:10]) for sleeve, samples in tracks.items()})
         self.sequence.step(self.snapshot())
         self.seen.append((self.now_us, self.state))
         if self.sequence.finished is not None:
@@ -228,7 +228,7 @@ class Box:
         self.theta_layshaft += self.layshaft * dt
         self.theta_main += self.main * dt
 
-    def _sense(self, tracks: dict[Sleeve, tuple[float, ...]]) -> None:
+    def sense(self, tracks: dict[Sleeve, tuple[float, ...]]) -> None:
         at_us = self.now_us
         self.view.sleeves_main(
             SleevesMain(

@@ -108,6 +108,34 @@ def test_an_input_that_is_lost_ends_the_shift_in_the_same_step(
         assert box.sequence.clutch is ClutchAction.CLOSE
 
 
+@pytest.mark.parametrize(("way", "state"), [(UP, State.SYNCHRONISING), (FAST_UP, State.COASTING)])
+def test_a_shift_whose_air_runs_low_in_neutral_ends_in_the_same_step(
+    way: tuple[int, float, int], state: State
+) -> None:
+    box = aimed(*way[:2])
+    box.ask(way[2])
+    box.until(state)
+    box.supply_pa = box.settings.limits.supply_low_pa - 1.0
+    box.step()
+    (record,) = box.records
+    assert (record.fault, record.result) == (FaultCode.LOW_SUPPLY, ShiftResult.ENDED_IN_NEUTRAL)
+    assert not any(box.board.command(valve).on for valve in ValveName)
+
+
+def test_no_sleeve_is_fired_while_the_other_one_moves() -> None:
+    """By half a millimetre within neutral in each frame of samples."""
+    box = aimed(*FAST_UP[:2])
+    box.ask(FAST_UP[2])
+    box.until(State.SYNCHRONISING)
+    sense, moves = box.sense, {Sleeve.CRAWL_THIRD: tuple(5e-5 * k for k in range(10))}
+    box.sense = lambda tracks: sense(tracks | moves)  # type: ignore[method-assign]
+    for _ in range(25):
+        box.step()
+        assert box.state in (State.SYNCHRONISING, State.COASTING)
+    box.sense = sense  # type: ignore[method-assign]
+    box.until(State.ENGAGING)
+
+
 def rolls_too_fast(box: Box, number: int) -> None:
     """The vehicle has got faster than the gear asked for allows the input shaft to turn."""
     top = SHEET.limits.input_max_rad_s
