@@ -14,7 +14,7 @@ from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 
 
 def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
-    """Whether the slip at contact is outside its window as far as can be told now. A swing or a
+    """Whether the slip at contact is outside its window as far as is known now. A swing or a
     speed that is not known may do anything."""
     stops, last = is_last_stop(case, valve, span), is_last_call(case, valve, span)
     if not stops and not last:

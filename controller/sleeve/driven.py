@@ -153,8 +153,8 @@ class DrivenSleeve:
     def unknowns_at(
         self, sds: float, of: Callable[[Vector], float], switches: list[Switch], base: float
     ) -> Vector:
-        """The likeliest unknowns for which a figure, which is `base`, is so many of its deviations
-        greater, to first order."""
+        """The likeliest unknowns for which a figure, which is `base`, is that many of its
+        deviations greater, to first order."""
         slope, spread = self._spread(of, switches, base)
         sd = math.sqrt(max(float(slope @ spread), 0.0))
         return self.unknowns(switches) + (sds / sd * spread if sd > 0.0 else 0.0)

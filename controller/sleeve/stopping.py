@@ -18,7 +18,7 @@ STOPS_US: Final = 40_000
 RESTS_US: Final = 400_000
 LEAST_MARGIN_M: Final = 2e-4
 SURE: Final = 2.5
-"""A sleeve that is stopped stays short of the teeth with law and switches so many standard
+"""A sleeve that is stopped stays short of the teeth with law and switches this many standard
 deviations off to the bad side."""
 LONGEST_PULSE_US: Final = 14_000
 SHORTEST_PULSE_US: Final = 9_000

@@ -170,7 +170,7 @@ class LogReader:
         self._last_us = 0
         self.content.sleeves = self._sleeves = Sleeves(sheet)
         self._told_us: dict[MainGear, int] = {}
-        """The newest switch of each gear's valve that the sleeves were told of."""
+        """The newest switch of each gear's valve that the sleeves know of."""
         self._closing = _ClosingTrack(self.content)
         self._next_us: int | None = None
 
@@ -224,7 +224,7 @@ class LogReader:
         self._follow(layshaft, main)
 
     def _move_sleeves(self, now_us: int) -> None:
-        """Tells the sleeves what their valves have done, and where they are."""
+        """Gives the sleeves what their valves have done, and where they are."""
         for gear in MAIN_GEARS:
             told_us = self._told_us.get(gear, 0)
             for switch in self._valves.of(VALVE_OF_GEAR[gear], now_us):

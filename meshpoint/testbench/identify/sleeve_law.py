@@ -62,7 +62,7 @@ def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> N
 
 
 def _why_none(content: LogContent, gear: MainGear, law: LawFigures) -> str:
-    """Why the log tells nothing of a sleeve's law; empty where it does."""
+    """Why the log shows nothing of a sleeve's law; empty where it does."""
     if not content.messages["ValveCommand"]:
         return "no valve commands in the log"
     if not content.moved:
