@@ -190,6 +190,10 @@ def plan_firing(
         plan = strategist.plan_at(predictor, contact_us, ShiftDecision.FIRE)
     if plan is not None and plan.slip_rad_s < context.settings.window.least_rad_s:
         plan = None  # the gear would be too slow by then: it is, or will be, the engine's turn
+    if plan and predictor.slip_rad_s(plan.fire_us) > context.settings.guard.slip_high_rad_s:
+        # The guard lets a sleeve pass its last stop only if a layshaft that falls no more from then
+        # on still meets the gear within the window.
+        plan = None
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
         plan = None  # too far ahead: the valve side would refuse it
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
