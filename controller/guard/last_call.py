@@ -26,7 +26,11 @@ def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
     # The main shaft goes on swinging as it has.
     main_least, main_most = main.between(late_us)
     most = least = layshaft.newest.omega_rad_s
-    if last:
+    if not last:
+        # The newest speed is some hundredths of a second old: the layshaft has fallen on until now.
+        passed_s = max(0.0, case.seen.now_us - layshaft.newest.time_us) * 1e-6
+        most = least = most + min(0.0, layshaft.rate_rad_s2) * passed_s
+    else:
         # Once no brake acts any more, the layshaft falls as it does or not at all.
         ahead_s = max(0.0, late_us - layshaft.newest.time_us) * 1e-6
         least += min(0.0, layshaft.rate_rad_s2) * ahead_s

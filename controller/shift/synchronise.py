@@ -17,6 +17,7 @@ from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.units import SECOND_US
 
 KEEP_US: Final = 6 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
@@ -174,6 +175,16 @@ def _acting(context: ShiftContext, gear: MainGear) -> EngagementStrategy:
     return context.strategist.acting(context.reference_known(gear))
 
 
+def _stays_in_window(context: ShiftContext, predictor: GearPredictor, plan: Plan) -> bool:
+    """Whether the guard will let the sleeve go on to its gear: its slip is inside the guard's
+    window already as it is fired, for the layshaft may fall no more, and still is at the latest
+    contact of a gearbox within its data sheet."""
+    window = context.settings.guard
+    latest_us = plan.contact_us + context.sheet.sleeve.delay_limit_s * SECOND_US
+    fired, met = predictor.slip_rad_s(plan.fire_us), predictor.slip_rad_s(latest_us)
+    return window.slip_low_rad_s <= met and fired <= window.slip_high_rad_s
+
+
 def plan_firing(
     context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot, earliest_us: int
 ) -> None:
@@ -190,6 +201,8 @@ def plan_firing(
         plan = strategist.plan_at(predictor, contact_us, ShiftDecision.FIRE)
     if plan is not None and plan.slip_rad_s < context.settings.window.least_rad_s:
         plan = None  # the gear would be too slow by then: it is, or will be, the engine's turn
+    if plan is not None and not _stays_in_window(context, predictor, plan):
+        plan = None
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
         plan = None  # too far ahead: the valve side would refuse it
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
