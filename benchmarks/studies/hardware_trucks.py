@@ -147,7 +147,7 @@ def _stroke(sheet: GearboxSheet) -> str:
     stroke, last_us = sleeves.from_neutral(gear), sleeves.abort_after_us(gear)
     return (
         f"a stroke of {stroke.contact_us / 1e3:.0f} ms that meets the teeth at "
-        f"{stroke.contact_speed_m_s:.2f} m/s and {stroke.force_n:.0f} N, and can be stopped until "
+        f"{stroke.contact_speed_m_s:.2f} m/s and can be stopped until "
         f"{(stroke.contact_us - last_us) / 1e3:.0f} ms before that"
     )
 

@@ -47,11 +47,11 @@ SIZE_LIMIT = 8_000_000
 @pytest.fixture(scope="module")
 def simulated() -> tuple[Report, list[ShiftRow]]:
     """Four shifts, of which the last two could aim."""
-    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=4)
+    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=1, shifts=4)
     collector = ReportCollector(SHEET)
     result = simulate(setup, lambda _time_us, frame: collector.receive(frame))
     run = ReportRun("target_phase", collector.finish(), [f"from {HOSTILE}"])
-    provenance = report_provenance(SHEET, seed=3, preset="thesis", log=HOSTILE)
+    provenance = report_provenance(SHEET, seed=1, preset="thesis", log=HOSTILE)
     return Report(f"report of {HOSTILE}", HOSTILE, SHEET, [run], provenance), result.rows
 
 

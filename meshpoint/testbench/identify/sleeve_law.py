@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sleeve.law_figures import LawFigures
+from meshpoint.controller.sleeve.law_figures import Known, LawFigures
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
@@ -48,7 +48,7 @@ def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> N
             named = (name.format(gear.name.lower()), unit, by_sheet)
             if known is None:
                 untold(found, why or "it cannot be stopped in flight", named)
-            elif why or (before is not None and known.sd > SHOWN * before.sd):
+            elif why or not _is_shown(key, known, before):
                 untold(found, why or "no movement in the log shows it", named)
             else:
                 value, half = known.value / in_si, SDS * known.sd / in_si
@@ -59,6 +59,15 @@ def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> N
         "the law has no temperature: what oil and warmth change is learned anew with each movement",
         ("sleeve delay by temperature", "ms/K", None),
     )
+
+
+def _is_shown(key: str, known: Known, before: Known | None) -> bool:
+    """Whether the log makes a figure surer than the data sheet. A stopping distance is that of the
+    latest abort, which comes later the more is known: there, as a share of the distance."""
+    if before is None:
+        return True
+    sheet_sd = before.sd * known.value / before.value if key == "stopping_m" else before.sd
+    return known.sd <= SHOWN * sheet_sd
 
 
 def _why_none(content: LogContent, gear: MainGear, law: LawFigures) -> str:
