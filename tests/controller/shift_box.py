@@ -322,7 +322,7 @@ def aimed(gear: int, input_rad_s: float = 150.0, **other: Any) -> Box:
 
 UP, DOWN, SPLIT, RANGED = (7, 150.0, 9), (9, 110.0, 7), (7, 150.0, 8), (6, 190.0, 7)
 FAST_UP: Final = (7, 190.0, 9)
-"""The brake is released before the sleeve is due; on the way UP, in the same step."""
+"""Here the brake is released before the sleeve is fired, on the way UP after it."""
 WAYS: Final = {
     UP: [State.IN_GEAR, State.CLUTCH_OPENING, State.DISENGAGING, State.SYNCHRONISING,
          State.ENGAGING, State.CLUTCH_CLOSING, State.IN_GEAR],
