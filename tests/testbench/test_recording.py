@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.reader import LogError, read_log
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.logs.replay import STATUS
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -122,6 +124,15 @@ def holds(log: Path, frame: Frame) -> bool:
         return False  # read in the middle of a flush
 
 
+def steps_in(parts: Path) -> int:
+    """How many steps of the controller the logs that are still being written tell of."""
+    steps = 0
+    for log in log_files([parts]):
+        with contextlib.suppress(LogError):
+            steps += sum(one.can_id == STATUS.spec.can_id for _, one in read_log(log))
+    return steps
+
+
 @pytest.mark.long
 def test_killed_nodes_leave_logs_that_were_brought_up_to_date_meanwhile(
     tmp_path: Path, channel: list[str], capsys: pytest.CaptureFixture[str]
@@ -133,6 +144,7 @@ def test_killed_nodes_leave_logs_that_were_brought_up_to_date_meanwhile(
     controller = meshpoint("controller", *channel, "--log", f"{parts}/", "--log-size", "300kB")
     try:
         wait_for_bytes(parts, 350_000)
+        until(lambda: steps_in(parts) > 60, "60 steps of the controller", poll_s=0.5)
         frame = heard_now(channel[-1])
         # Nobody ends the logs: what comes into them now, comes by itself.
         until(lambda: holds(blf, frame), "a frame of now in the rig's log", poll_s=0.5)
