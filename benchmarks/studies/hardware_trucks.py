@@ -27,7 +27,7 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.controller.sleeve.cylinder import FOREVER, LAW
+from meshpoint.controller.sleeve.cylinder import LAW
 from meshpoint.controller.sleeve.law import SleeveLaw
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
@@ -136,9 +136,7 @@ def offers(trucks: Trucks) -> tuple[Offer, ...]:
 
 def _conductance(sheet: GearboxSheet) -> float:
     """Of a valve's way in, by the controller's law and the sheet."""
-    law = SleeveLaw(sheet)
-    flat = law.flat(law.prior(sheet).mean, sheet.air.supply_gauge_pa, FOREVER)
-    return float(flat.view(LAW)["feed"][0, 0])
+    return float(SleeveLaw(sheet).sheet.view(LAW)["feed"][0, 0])
 
 
 def _stroke(sheet: GearboxSheet) -> str:

@@ -34,6 +34,16 @@ FOREVER: Final = 1e9
 DRIVEN: Final = POLYTROPIC * GAS_J_KGK * AIR_K * NORMAL_KG_M3
 EDGE: Final = math.sqrt(1.0 - ((LAMINAR - CRITICAL) / (1.0 - CRITICAL)) ** 2) / (1.0 - LAMINAR)
 
+ON, OFF, FEED = 0, 2, 4
+"""Each of two: of the valve that pushes towards +x, and of the other."""
+FRICTION, DAMPING, DEAD, VENT, DETENT, OFFSET, GAIN, LEFT = range(6, 14)
+PARAMETERS: Final = 14
+"""What is learned of a sleeve: two on delays and two off delays (s), two logarithms of how fast a
+chamber fills, those of friction, damping, dead volume and vent share; the detent's force (kN); the
+position sensor's offset (mm) and the logarithm of its gain; and of one movement alone, the
+logarithm of the pressures left in the chambers as it begins over those that the law expects."""
+DETENT_UNIT_N: Final = 1e3
+
 TO_TIME, TO_LEVEL, TO_TURN, TO_REST = 0, 1, 2, 3
 """Where `move` ends, if not before: at `until_s`; as the level is crossed; as the sleeve turns or
 stops; as it rests with both valves off."""
@@ -77,13 +87,11 @@ class Way:
     crossed_s: float
     """When the level was crossed; -1 where it was not."""
     crossed_m_s: float
-    crossed_n: float
-    """Speed towards the level there, and the force of the air."""
+    """Speed towards the level there."""
     turned_s: float
     """When the sleeve first stopped or turned after it had moved; -1 where it did not."""
     furthest_m: float
     """The furthest place towards the level."""
-    end_s: float
 
 
 LAW: Final = layout_of(Law)
@@ -116,7 +124,7 @@ def _flow(on: float, feed: float, vent: float, supply_pa: float, air_pa: float, 
     return c * (outer * _share(outer, pa) - pa * _share(pa, outer))
 
 
-@compiled
+@inlined
 def move(  # noqa: C901
     law_at: Vector,
     x: Vector,
@@ -145,7 +153,7 @@ def move(  # noqa: C901
     p0, p1 = state.pressure_pa[0], state.pressure_pa[1]
     on0, on1 = state.open_[0], state.open_[1]
     way.crossed_s = way.turned_s = -1.0
-    way.crossed_m_s = way.crossed_n = 0.0
+    way.crossed_m_s = 0.0
     way.furthest_m = place
     t = 0.0
     j = 0
@@ -216,7 +224,6 @@ def move(  # noqa: C901
             if way.crossed_s < 0.0 and to_level > 0.0 and direction * moved >= to_level:
                 way.crossed_s = t - h * (1.0 - to_level / (direction * moved))
                 way.crossed_m_s = direction * speed
-                way.crossed_n = direction * (p0 - p1) * area
             place += moved
             if abs(place) >= law.stop_m:
                 place = math.copysign(law.stop_m, place)
@@ -235,16 +242,87 @@ def move(  # noqa: C901
     while k < seen.shape[0]:
         seen[k] = place
         k += 1
-    way.end_s = t
     state.x_m, state.speed_m_s = place, speed
     state.pressure_pa[0], state.pressure_pa[1] = p0, p1
     state.open_[0], state.open_[1] = on0, on1
 
 
-NOTHING_SEEN: Final = np.zeros(0)
+@compiled
+def carry(
+    sheet_at: Vector,
+    supply_pa: float,
+    stop_m: float,
+    is_rest: bool,
+    switches: Vector,
+    unknowns: Vector,
+    level_m: float,
+    direction: float,
+    until_s: float,
+    ending: int,
+    first_s: float,
+    seen: Vector,
+    states: Vector,
+    ways: Vector,
+) -> None:
+    """Carries the states on in place, one for each row of unknowns: what is learned of the law,
+    then by how much each switch's spool is late beyond its valve's delay.
+
+    sheet_at: the law by the data sheet. is_rest: it stays as it is until a spool moves. switches:
+    time (s), valve, on, in order of the coils. All times are from the start on. seen, states, ways:
+    a row each; a row of seen takes the places at first_s and each 1 ms after."""
+    law_at, spools = sheet_at.copy(), np.empty((switches.shape[0], 3))
+    sheet, law = record_on(sheet_at, LAW), record_on(law_at, LAW)
+    law.supply_pa = supply_pa
+    law.stop_m = min(sheet.stop_m, stop_m)
+    sheet_m3 = sheet.dead_m3 + sheet.area_m2 * sheet.stroke_m
+    count = switches.shape[0]
+    for row in range(unknowns.shape[0]):
+        known = unknowns[row]
+        law.friction_n = sheet.friction_n * math.exp(known[FRICTION])
+        law.damping_nsm = sheet.damping_nsm * math.exp(known[DAMPING])
+        law.dead_m3 = sheet.dead_m3 * math.exp(known[DEAD])
+        law.vent = sheet.vent * math.exp(known[VENT])
+        law.detent_n = max(known[DETENT], 0.0) * DETENT_UNIT_N
+        # A stroke's time goes with the rate at which a chamber fills: a larger chamber has a valve
+        # that lets through as much more.
+        larger = (law.dead_m3 + law.area_m2 * law.stroke_m) / sheet_m3
+        for valve in range(2):
+            law.feed[valve] = sheet.feed[valve] * larger * math.exp(known[FEED + valve])
+        for k in range(count):
+            valve, on = int(switches[k, 1]), switches[k, 2]
+            delay_s = known[(ON if on > 0.0 else OFF) + valve] + known[PARAMETERS + k]
+            moves_s = switches[k, 0] + max(delay_s, 0.0)
+            at = k
+            while at > 0 and spools[at - 1, 0] > moves_s:
+                spools[at] = spools[at - 1]
+                at -= 1
+            spools[at, 0], spools[at, 1], spools[at, 2] = moves_s, valve, on
+        rests_s = 0.0
+        if is_rest:
+            rests_s = max(min(spools[0, 0], until_s) if count > 0 else until_s, 0.0)
+            for k in range(count):
+                spools[k, 0] -= rests_s
+        x, left = states[row], math.exp(known[LEFT])
+        for k in range(2, 4):
+            x[k] = law.atmosphere_pa + (x[k] - law.atmosphere_pa) * left
+        move(
+            law_at, x, spools, count, level_m, direction, until_s - rests_s, ending,
+            first_s - rests_s, seen[row], ways[row],
+        )  # fmt: skip
+        way = record_on(ways[row], WAY)
+        if way.crossed_s >= 0.0:
+            way.crossed_s += rests_s
+        if way.turned_s >= 0.0:
+            way.turned_s += rests_s
+
+
+NOTHING_SEEN: Final = np.zeros((1, 0))
 
 
 def warm_up() -> None:
     """Compiles it, or loads what was compiled before."""
-    law, state, way = np.ones(LAW_WORDS), np.ones(STATE_WORDS), np.zeros(WAY_WORDS)
-    move(law, state, np.zeros((1, 3)), 0, 1.0, 1.0, 0.0, TO_TIME, FOREVER, NOTHING_SEEN, way)
+    sheet = np.ones(LAW_WORDS)
+    carry(
+        sheet, 1.0, 1.0, False, np.zeros((0, 3)), np.zeros((1, PARAMETERS)), 1.0, 1.0, 0.0,
+        TO_TIME, FOREVER, NOTHING_SEEN, np.ones((1, STATE_WORDS)), np.zeros((1, WAY_WORDS)),
+    )  # fmt: skip

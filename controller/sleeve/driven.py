@@ -9,19 +9,19 @@ from collections.abc import Callable
 import numpy as np
 
 from meshpoint.controller.records import Vector
-from meshpoint.controller.sleeve.cylinder import TO_LEVEL, TO_TIME
-from meshpoint.controller.sleeve.fit import slopes
-from meshpoint.controller.sleeve.law import (
+from meshpoint.controller.sleeve.cylinder import (
     DETENT,
     FEED,
     LEFT,
     OFF,
     ON,
     PARAMETERS,
-    Prior,
-    SleeveLaw,
+    TO_LEVEL,
+    TO_TIME,
 )
-from meshpoint.controller.sleeve.motion import Start, Switch, Way, follow
+from meshpoint.controller.sleeve.fit import Figures, slopes
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw
+from meshpoint.controller.sleeve.motion import Start, Switch, Way, Ways, follow, single
 from meshpoint.units import SECOND_US
 
 
@@ -145,28 +145,24 @@ class DrivenSleeve:
                 covariance[own, own] = self.switch_sd_s[one.valve] ** 2
         return covariance
 
-    def sd(self, of: Callable[[Vector], float], switches: list[Switch], base: float) -> float:
+    def sd(self, of: Figures, switches: list[Switch], base: float) -> float:
         """Deviation of a figure, which is `base`, by what is not known of law and switches."""
         slope, spread = self._spread(of, switches, base)
         return math.sqrt(max(float(slope @ spread), 0.0))
 
-    def unknowns_at(
-        self, sds: float, of: Callable[[Vector], float], switches: list[Switch], base: float
-    ) -> Vector:
+    def unknowns_at(self, sds: float, of: Figures, switches: list[Switch], base: float) -> Vector:
         """The likeliest unknowns for which a figure, which is `base`, is that many of its
         deviations greater, to first order."""
         slope, spread = self._spread(of, switches, base)
         sd = math.sqrt(max(float(slope @ spread), 0.0))
         return self.unknowns(switches) + (sds / sd * spread if sd > 0.0 else 0.0)
 
-    def _spread(
-        self, of: Callable[[Vector], float], switches: list[Switch], base: float
-    ) -> tuple[Vector, Vector]:
+    def _spread(self, of: Figures, switches: list[Switch], base: float) -> tuple[Vector, Vector]:
         """How a figure grows with each unknown, and its covariance with each."""
         delays = {(ON if one.on else OFF) + one.valve for one in switches}
         own = range(PARAMETERS, PARAMETERS + len(switches))
         left = () if self.start.is_rest else (LEFT,)
-        moved_by = (*delays, *range(FEED, DETENT + 1), *left, *own)
+        moved_by = [*delays, *range(FEED, DETENT + 1), *left, *own]
         slope = slopes(of, self.unknowns(switches), base, moved_by)
         return slope, self.covariance_with(switches) @ slope
 
@@ -184,25 +180,20 @@ class DrivenSleeve:
 
     # ---- where it goes
 
-    def ahead(
+    def ways(
         self,
+        unknowns: Vector,
+        switches: list[Switch],
         *,
         ending: int,
         until_us: float,
-        switches: list[Switch] | None = None,
-        unknowns: Vector | None = None,
         **asked: float | Vector,
-    ) -> Way:
-        """Where the sleeve goes, by the commands so far or by these. unknowns: other ones than
-        those expected: what is learned, then the chance of each switch."""
-        if switches is None:
-            switches = self.switches
-        if unknowns is None:
-            unknowns = self.unknowns(switches)
+    ) -> Ways:
+        """Where the sleeve goes by these switches, for each row of unknowns: what is learned, then
+        the chance of each switch."""
         return follow(
             self.law,
-            unknowns[:PARAMETERS],
-            unknowns[PARAMETERS:],
+            unknowns,
             self.supply_pa,
             self.start,
             switches,
@@ -211,23 +202,35 @@ class DrivenSleeve:
             **asked,  # type: ignore[arg-type]
         )
 
+    def ahead(
+        self,
+        *,
+        ending: int,
+        until_us: float,
+        switches: list[Switch] | None = None,
+        unknowns: Vector | None = None,
+        **asked: float,
+    ) -> Way:
+        """Where the sleeve goes, by the commands so far or by these. unknowns: other ones than
+        those expected."""
+        if switches is None:
+            switches = self.switches
+        if unknowns is None:
+            unknowns = self.unknowns(switches)
+        found = self.ways(unknowns[np.newaxis], switches, ending=ending, until_us=until_us, **asked)
+        return single(found, self.start)
+
     def at(self, time_us: int) -> Way:
         """The state then."""
         return self.ahead(ending=TO_TIME, until_us=time_us)
 
     def to_level(
-        self,
-        direction: int,
-        level_m: float,
-        until_us: float,
-        switches: list[Switch] | None = None,
-        unknowns: Vector | None = None,
+        self, direction: int, level_m: float, until_us: float, unknowns: Vector | None = None
     ) -> Way:
         """Until the sleeve comes by a place in this direction."""
         return self.ahead(
             ending=TO_LEVEL,
             until_us=until_us,
-            switches=switches,
             unknowns=unknowns,
             level_m=level_m,
             direction=float(direction),

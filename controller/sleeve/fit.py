@@ -6,13 +6,14 @@ beyond its valve's learned delay. Both have a prior; the law gives the places in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Final, NamedTuple, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.controller.records import Vector
-from meshpoint.controller.sleeve.law import DETENT, FEED, OFFSET, PARAMETERS, Prior
+from meshpoint.controller.sleeve.cylinder import DETENT, FEED, OFFSET, PARAMETERS
+from meshpoint.controller.sleeve.law import Prior
 
 SAMPLE_SD_M: Final = 8e-5
 """Of a sample from the law: its noise, and what a law leaves out."""
@@ -22,8 +23,8 @@ LARGEST_STEP_SDS: Final = 4.0
 """The law bends too much for a longer step."""
 HALVINGS: Final = 4
 
-Answer = TypeVar("Answer", float, Vector)
-Places = Callable[[Vector], Vector]
+Figures = Callable[[Vector], Vector]
+"""From unknowns, one row each, to a figure of each row, or a row of figures."""
 
 
 class Fitted(NamedTuple):
@@ -43,22 +44,19 @@ def probes(count: int) -> Vector:
     return steps
 
 
-def slopes(
-    of: Callable[[Vector], Answer], at: Vector, base: Answer, moved_by: Iterable[int]
-) -> Vector:
-    """How what `of` gives changes with each unknown: one column each. moved_by: those that it
-    changes with at all."""
+def slopes(of: Figures, at: Vector, base: float | Vector, moved_by: Sequence[int]) -> Vector:
+    """How each figure that `of` gives, here `base`, changes with each unknown: one column each.
+    moved_by: those that it changes with at all."""
     steps = probes(len(at))
+    tried = np.tile(at, (len(moved_by), 1))
+    tried[range(len(moved_by)), moved_by] += steps[moved_by]
     rows = np.zeros((len(at), *np.shape(base)))
-    for k in moved_by:
-        probe = at.copy()
-        probe[k] += steps[k]
-        rows[k] = (of(probe) - base) / steps[k]
+    rows[moved_by] = ((of(tried) - base).T / steps[moved_by]).T
     return rows.T
 
 
 def fit(
-    places: Places,
+    places: Figures,
     seen_m: Vector,
     prior: Prior,
     begin: Vector,
@@ -72,7 +70,7 @@ def fit(
     def cost(z: Vector, left: Vector) -> float:
         return float(left @ left) / noise + float((z - mean) @ inverse @ (z - mean))
 
-    z, left = begin, seen_m - places(begin)
+    z, left = begin, seen_m - places(begin[np.newaxis])[0]
     now = cost(z, left)
     posterior: Vector = covariance
     for _ in range(iterations):
@@ -85,7 +83,7 @@ def fit(
         )
         for _ in range(HALVINGS):
             tried = z + step
-            rest = seen_m - places(tried)
+            rest = seen_m - places(tried[np.newaxis])[0]
             then = cost(tried, rest)
             if then < now:
                 z, left, now = tried, rest, then

@@ -14,23 +14,25 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import (
+    DETENT,
+    DETENT_UNIT_N,
+    FEED,
     FOREVER,
-    NOTHING_SEEN,
+    FRICTION,
+    GAIN,
+    LAW,
+    LEFT,
+    OFFSET,
+    ON,
+    PARAMETERS,
     TO_LEVEL,
+    VENT,
+    WAY,
     WAY_WORDS,
-    move,
+    carry,
 )
 from meshpoint.gearbox import GearboxSheet
 
-ON, OFF, FEED = 0, 2, 4
-"""Each of two: of the valve that pushes towards +x, and of the other."""
-FRICTION, DAMPING, DEAD, VENT, DETENT, OFFSET, GAIN, LEFT = range(6, 14)
-PARAMETERS: Final = 14
-"""Two on delays and two off delays (s), two logarithms of how fast a chamber fills, those of
-friction, damping, dead volume and vent share; the detent's force (kN); the position sensor's offset
-(mm) and the logarithm of its gain; and of one movement alone, the logarithm of the pressures left
-in the chambers as it begins over those that the law expects."""
-DETENT_UNIT_N: Final = 1e3
 OFFSET_UNIT_M: Final = 1e-3
 OFFSET_SD: Final = 0.12
 """Offset of a position sensor, mm: at most 0.3."""
@@ -41,13 +43,9 @@ OWN_FEED_SD: Final = 0.10
 """By how much two valves of a sleeve differ in their conductance."""
 LEAST_CONDUCTANCE: Final = 1e-10
 MOST_CONDUCTANCE: Final = 1e-6
+SLOPE_STEP: Final = 0.05
 LONGEST_S: Final = 0.5
 """No sleeve takes longer to its gear."""
-_SUPPLY: Final = 5
-_FEED: Final = 6
-_FRICTION: Final = 8
-_STOP: Final = 12
-_DEAD: Final = 10
 
 
 class Prior(NamedTuple):
@@ -65,7 +63,9 @@ class SleeveLaw:
         self.face_m = sleeve.to_contact_m
         self.stroke_m = sleeve.stroke_m
         self.atmosphere_pa = air.atmosphere_pa
-        self._flat = np.array(
+        self.sheet_pa = air.supply_gauge_pa
+        """Gauge."""
+        self.sheet: Vector = np.array(
             [
                 sleeve.bore_m2,
                 sleeve.mass_kg,
@@ -80,31 +80,11 @@ class SleeveLaw:
                 sleeve.dead_m3,
                 sleeve.vent_share,
                 sleeve.stroke_m,
-                0.0,
+                sleeve.detent_n,
             ]
         )
-        self._sheet_chamber_m3 = self._chamber_m3(self._flat)
-        self._travel_s = sleeve.delay_s - sleeve.valve_delay_s
-        self._detent_n = sleeve.detent_n
-        self._nominal = self._solved()
-        self.sheet_pa = air.supply_gauge_pa
-
-    def flat(self, learned: Vector, supply_gauge_pa: float, stop_m: float) -> Vector:
-        """The law's record (`cylinder.Law`) at a supply pressure; a tooth may stop it short."""
-        law = self._flat.copy()
-        law[_STOP] = min(law[_STOP], stop_m)
-        law[_SUPPLY] = self.atmosphere_pa + supply_gauge_pa
-        law[_FRICTION : _FRICTION + 4] *= np.exp(learned[FRICTION : VENT + 1])
-        # A stroke's time goes with the rate at which a chamber fills: a larger chamber has a valve
-        # that lets through as much more.
-        larger = self._chamber_m3(law) / self._sheet_chamber_m3
-        law[_FEED : _FEED + 2] = self._nominal * larger * np.exp(learned[FEED : FEED + 2])
-        law[-1] = max(learned[DETENT], 0.0) * DETENT_UNIT_N
-        return law
-
-    def _chamber_m3(self, law: Vector) -> float:
-        """Volume of a chamber with the sleeve in neutral."""
-        return float(law[_DEAD] + law[0] * self.stroke_m)
+        """The record `cylinder.Law`."""
+        self._solve(sleeve.delay_s - sleeve.valve_delay_s)
 
     def at_rest(self, x_m: float) -> Vector:
         """The state of a sleeve that rests with both chambers vented."""
@@ -116,7 +96,7 @@ class SleeveLaw:
         sleeve = sheet.sleeve
         mean = np.zeros(PARAMETERS)
         mean[ON:FEED] = sleeve.valve_delay_s
-        mean[DETENT] = self._detent_n / DETENT_UNIT_N
+        mean[DETENT] = sleeve.detent_n / DETENT_UNIT_N
         sd = np.zeros(PARAMETERS)
         sd[ON:FEED] = sleeve.valve_delay_tolerance_s
         sd[FRICTION : VENT + 1] = (
@@ -142,35 +122,37 @@ class SleeveLaw:
 
     def _slope(self, mean: Vector) -> Vector:
         """By how much the travel of a stroke from neutral grows (s) with each parameter."""
-        slope = np.zeros(PARAMETERS)
-        for k in range(FEED, DETENT + 1):
-            probe = np.zeros(PARAMETERS)
-            probe[k] = 0.05
-            if k == FEED:
-                probe[FEED + 1] = 0.05
-            more = self._travel(self.flat(mean + probe, self._sheet_gauge, FOREVER))
-            less = self._travel(self.flat(mean - probe, self._sheet_gauge, FOREVER))
-            slope[k] = (more - less) / 0.1
+        slope, steps = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
+        moved = range(FEED, DETENT + 1)
+        for k in moved:
+            steps[k, k] = SLOPE_STEP
+        steps[FEED, FEED + 1] = SLOPE_STEP
+        longer_s = self._travels_s(mean + steps[moved]) - self._travels_s(mean - steps[moved])
+        slope[moved] = longer_s / (2.0 * SLOPE_STEP)
         return slope
 
-    @property
-    def _sheet_gauge(self) -> float:
-        return float(self._flat[_SUPPLY] - self.atmosphere_pa)
+    def _travels_s(self, learned: Vector) -> Vector:
+        """From the valve's spool to contact, from neutral, by each row of what is learned."""
+        rows = np.hstack([learned, np.zeros((len(learned), 1))])
+        rows[:, ON] = 0.0
+        seen, states = np.zeros((len(rows), 0)), np.tile(self.at_rest(0.0), (len(rows), 1))
+        ways, fired = np.zeros((len(rows), WAY_WORDS)), np.array([[0.0, 0.0, 1.0]])
+        carry(
+            self.sheet, self.atmosphere_pa + self.sheet_pa, FOREVER, True, fired,
+            rows, self.face_m, 1.0, LONGEST_S, TO_LEVEL, FOREVER, seen, states, ways,
+        )  # fmt: skip
+        crossed_s = ways.view(WAY)["crossed_s"][:, 0]
+        return np.where(crossed_s < 0.0, LONGEST_S, crossed_s)
 
-    def _travel(self, law: Vector) -> float:
-        x, way = self.at_rest(0.0), np.zeros(WAY_WORDS)
-        on = np.array([[0.0, 0.0, 1.0]])
-        move(law, x, on, 1, self.face_m, 1.0, LONGEST_S, TO_LEVEL, FOREVER, NOTHING_SEEN, way)
-        return float(way[0]) if way[0] >= 0.0 else LONGEST_S
-
-    def _solved(self) -> float:
+    def _solve(self, travel_s: float) -> None:
         """The conductance that gives the sheet's delay."""
-        law = self._flat.copy()
-        law[-1] = self._detent_n
+        feed = self.sheet.view(LAW)["feed"][0]
+        learned = np.zeros((1, PARAMETERS))
+        learned[0, DETENT] = self.sheet.view(LAW)["detent_n"][0] / DETENT_UNIT_N
         low, high = math.log(LEAST_CONDUCTANCE), math.log(MOST_CONDUCTANCE)
         for _ in range(40):
             middle = 0.5 * (low + high)
-            law[_FEED : _FEED + 2] = math.exp(middle)
-            slow = self._travel(law) > self._travel_s
+            feed[:] = math.exp(middle)
+            slow = self._travels_s(learned)[0] > travel_s
             low, high = (middle, high) if slow else (low, middle)
-        return math.exp(0.5 * (low + high))
+        feed[:] = math.exp(0.5 * (low + high))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from meshpoint.controller.records import Vector
+from meshpoint.controller.sleeve.cylinder import DETENT, DETENT_UNIT_N, OFF, ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
-from meshpoint.controller.sleeve.law import DETENT, DETENT_UNIT_N, OFF, ON
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stopping import stopping_m
-from meshpoint.controller.sleeve.stroke import contact_sd_s, to_contact
+from meshpoint.controller.sleeve.stroke import contact_sd_s, contacts_us, to_contact
 from meshpoint.units import BAR, US
 
 ABOUT_PA: Final = 0.5 * BAR
@@ -54,14 +56,14 @@ def law_figures(sleeve: DrivenSleeve, direction: int, movements: int) -> LawFigu
     sleeve.switch_sd_s = [0.0, 0.0]  # from here on the chance of a stroke is no part of it
     contact_us = to_contact(sleeve, direction, fired).crossed_us or 0.0
 
-    def by_air_s_per_pa(unknowns: Vector) -> float:
+    def by_air_s_per_pa(unknowns: Vector) -> Vector:
         times_us = []
         for sleeve.supply_pa in (sheet_pa - ABOUT_PA, sheet_pa + ABOUT_PA):
-            times_us.append(to_contact(sleeve, direction, fired, unknowns).crossed_us or 0.0)
+            times_us.append(np.nan_to_num(contacts_us(sleeve, direction, fired, unknowns)))
         sleeve.supply_pa = sheet_pa
         return (times_us[1] - times_us[0]) * US / (2.0 * ABOUT_PA)
 
-    by_air = by_air_s_per_pa(sleeve.unknowns(fired))
+    by_air = float(by_air_s_per_pa(sleeve.unknowns(fired)[np.newaxis])[0])
     return LawFigures(
         movements,
         of(ON + valve),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from meshpoint.controller.calibration.learned import SleeveLawRecord
-from meshpoint.controller.sleeve.law import (
+from meshpoint.controller.sleeve.cylinder import (
     DAMPING,
     DEAD,
     DETENT,
@@ -14,15 +14,13 @@ from meshpoint.controller.sleeve.law import (
     FRICTION,
     GAIN,
     LEFT,
-    LEFT_SD,
     OFF,
     OFFSET,
-    OFFSET_UNIT_M,
     ON,
     PARAMETERS,
     VENT,
-    Prior,
 )
+from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior
 
 KEPT = [k for k in range(PARAMETERS) if k != LEFT]
 """What outlasts a movement."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,19 +9,14 @@ import numpy as np
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import (
     FOREVER,
-    NOTHING_SEEN,
+    WAY,
     WAY_WORDS,
-    move,
+    carry,
 )
-from meshpoint.controller.sleeve.law import LEFT, OFF, ON, SleeveLaw
+from meshpoint.controller.sleeve.law import SleeveLaw
 from meshpoint.units import SECOND_US, US
 
-PLUS, MINUS = 0, 1
-"""The valve that pushes towards +x, and the other."""
-
-
-NO_SPOOLS: Final = [(0.0, 0, False)]
-_TIME_S: Final = itemgetter(0)
+NO_SWITCHES: Final = np.zeros((0, 3))
 
 
 class Switch(NamedTuple):
@@ -50,19 +43,30 @@ class Way(NamedTuple):
 
     crossed_us: float | None
     speed_m_s: float
-    force_n: float
     turned_us: float | None
     furthest_m: float
-    end_us: float
     m: float
     end_m_s: float
     state: Vector
 
 
+class Ways(NamedTuple):
+    """Where it takes a sleeve by several laws, one row each."""
+
+    ways: Vector
+    """Records `cylinder.Way`, times in s from the start on."""
+    states: Vector
+    """Records `cylinder.State`, at their ends."""
+
+    def of(self, name: str) -> Vector:
+        """One quantity of `cylinder.Way`, of each row."""
+        column: Vector = self.ways.view(WAY)[name][:, 0]
+        return column
+
+
 def follow(
     law: SleeveLaw,
-    learned: Vector,
-    late_s: Vector,
+    unknowns: Vector,
     supply_pa: float,
     start: Start,
     switches: list[Switch],
@@ -71,49 +75,47 @@ def follow(
     until_us: float,
     level_m: float = FOREVER,
     direction: float = 1.0,
-    seen: Vector = NOTHING_SEEN,
+    seen: Vector | None = None,
     first_us: float = 0.0,
-) -> Way:
-    """From `start` by the law, each switch's spool late by `late_s` beyond its valve's learned
-    delay. seen: takes the places at first_us and every millisecond after."""
-    begin_us: float = start.time_us
-    known, late = learned.tolist(), late_s.tolist()
-    spools = []
-    for k, (time_us, valve, on) in enumerate(switches):
-        delay_s = known[(ON if on else OFF) + valve] + late[k]
-        spools.append(((time_us - begin_us) * US + max(delay_s, 0.0), valve, on))
-    spools.sort(key=_TIME_S)
-    if start.is_rest:
-        moves_us = min(until_us, begin_us + spools[0][0] * SECOND_US) if spools else until_us
-        if moves_us > begin_us:
-            passed_s = (moves_us - begin_us) * US
-            spools = [(time_s - passed_s, valve, on) for time_s, valve, on in spools]
-            begin_us = moves_us
-    x, way = start.state.copy(), np.zeros(WAY_WORDS)
-    air_pa, left = law.atmosphere_pa, math.exp(known[LEFT])
-    x[2], x[3] = air_pa + (x[2] - air_pa) * left, air_pa + (x[3] - air_pa) * left
-    move(
-        law.flat(learned, supply_pa, start.stop_m),
-        x,
-        np.array(spools or NO_SPOOLS, dtype=np.float64),
-        len(spools),
+    from_m: Vector | None = None,
+) -> Ways:
+    """From `start` by the law, for each row of unknowns: what is learned, then by how much each
+    switch's spool is late beyond its valve's learned delay. seen: takes, a row each, the places at
+    first_us and every millisecond after. from_m: each row's own place to start from."""
+    begin_us, count = start.time_us, len(unknowns)
+    coils = [((time_us - begin_us) * US, valve, on) for time_us, valve, on in switches]
+    states, ways = np.tile(start.state, (count, 1)), np.empty((count, WAY_WORDS))
+    if from_m is not None:
+        states[:, 0] = from_m
+    carry(
+        law.sheet,
+        law.atmosphere_pa + supply_pa,
+        start.stop_m,
+        start.is_rest,
+        np.array(coils, dtype=np.float64) if coils else NO_SWITCHES,
+        unknowns,
         level_m,
         direction,
         (until_us - begin_us) * US,
         ending,
         (first_us - begin_us) * US,
-        seen,
-        way,
+        np.empty((count, 0)) if seen is None else seen,
+        states,
+        ways,
     )
-    crossed_s, speed, force, turned_s, furthest, end_s = way.tolist()
+    return Ways(ways, states)
+
+
+def single(found: Ways, start: Start) -> Way:
+    """The first of them, in sensor time."""
+    crossed_s, speed, turned_s, furthest = found.ways[0].tolist()
+    state, begin_us = found.states[0], start.time_us
     return Way(
         None if crossed_s < 0.0 else begin_us + crossed_s * SECOND_US,
         speed,
-        force,
         None if turned_s < 0.0 else begin_us + turned_s * SECOND_US,
         furthest,
-        begin_us + end_s * SECOND_US,
-        float(x[0]),
-        float(x[1]),
-        x,
+        float(state[0]),
+        float(state[1]),
+        state,
     )

@@ -13,8 +13,9 @@ from meshpoint.controller.calibration.learned import (
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
 from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
+from meshpoint.controller.sleeve.cylinder import ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
-from meshpoint.controller.sleeve.law import ON, SleeveLaw
+from meshpoint.controller.sleeve.law import SleeveLaw
 from meshpoint.controller.sleeve.law_figures import LawFigures, law_figures
 from meshpoint.controller.sleeve.law_record import known_from, law_record
 from meshpoint.controller.sleeve.motion import Switch

@@ -3,14 +3,16 @@ one instant, that one off again after some 10 ms."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
+
+import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.answers import Halt
-from meshpoint.controller.sleeve.cylinder import TO_REST, TO_TIME, TO_TURN
+from meshpoint.controller.sleeve.cylinder import PARAMETERS, TO_REST, TO_TIME, TO_TURN
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
-from meshpoint.controller.sleeve.law import PARAMETERS
-from meshpoint.controller.sleeve.motion import Switch, Way
+from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stroke import to_contact
 
 STOPS_US: Final = 40_000
@@ -72,50 +74,33 @@ def stopping_m(sleeve: DrivenSleeve, direction: int) -> tuple[float, float] | No
     fired = [Switch(0, valve_towards(direction), True)]
     switches = aborted(fired, direction, at_us, LONGEST_PULSE_US)
 
-    def goes_m(unknowns: Vector) -> float:
-        known = unknowns[: PARAMETERS + 1]
-        begins = sleeve.ahead(ending=TO_TIME, until_us=at_us, switches=fired, unknowns=known)
-        return direction * (_stopped(sleeve, direction, switches, unknowns).furthest_m - begins.m)
+    def goes_m(unknowns: Vector) -> Vector:
+        known = unknowns[:, : PARAMETERS + 1]
+        begins = sleeve.ways(known, fired, ending=TO_TIME, until_us=at_us).states[:, 0]
+        return _gets_m(sleeve, direction, switches, unknowns) - direction * begins
 
-    expected_m = goes_m(sleeve.unknowns(switches))
+    expected_m = float(goes_m(sleeve.unknowns(switches)[np.newaxis])[0])
     return expected_m, sleeve.sd(goes_m, switches, expected_m)
 
 
 def halted(sleeve: DrivenSleeve, direction: int, at_us: int) -> Halt:
     """How a sleeve on its way there is stopped from then on, and where it will stand."""
     fired = [one for one in sleeve.switches if one.time_us < at_us]
-    alone_m = (
-        direction * _stopped(sleeve, direction, aborted(fired, direction, at_us, 0)).furthest_m
-    )
+    alone_m = _expected_m(sleeve, direction, aborted(fired, direction, at_us, 0))
     is_near = alone_m < ALONE_SHARE * sleeve.law.face_m
     stops_by_itself = is_near and stops(sleeve, direction, fired, at_us, 0)
     pulse_us = 0 if stops_by_itself else SHORTEST_PULSE_US
     longest = aborted(fired, direction, at_us, LONGEST_PULSE_US)
-    short_m = direction * _stopped(sleeve, direction, longest).furthest_m + NEARLY_M
+    short_m = _expected_m(sleeve, direction, longest) + NEARLY_M
     while 0 < pulse_us < LONGEST_PULSE_US:
-        way = _stopped(sleeve, direction, aborted(fired, direction, at_us, pulse_us))
-        if way.turned_us is not None and direction * way.furthest_m <= short_m:
+        if _expected_m(sleeve, direction, aborted(fired, direction, at_us, pulse_us)) <= short_m:
             break
         pulse_us += PULSE_STEP_US
     switches = aborted(fired, direction, at_us, pulse_us)
     way = sleeve.ahead(ending=TO_REST, until_us=at_us + RESTS_US, switches=switches)
-    gets_m = _stopped(sleeve, direction, switches).furthest_m
-    sd_m = _stop_sd_m(sleeve, direction, switches, gets_m)
+    gets_m = partial(_gets_m, sleeve, direction, switches)
+    sd_m = sleeve.sd(gets_m, switches, _expected_m(sleeve, direction, switches))
     return Halt(at_us, at_us + pulse_us, way.m, sd_m)
-
-
-def _stopped(
-    sleeve: DrivenSleeve, direction: int, switches: list[Switch], unknowns: Vector | None = None
-) -> Way:
-    """As far as it gets by these switches."""
-    return sleeve.ahead(
-        ending=TO_TURN,
-        until_us=switches[-1].time_us + STOPS_US,
-        switches=switches,
-        unknowns=unknowns,
-        level_m=direction * sleeve.law.stroke_m,
-        direction=float(direction),
-    )
 
 
 def stops(
@@ -128,23 +113,30 @@ def stops(
     """Whether a sleeve that is aborted so stops short of the teeth by the margin."""
     switches = aborted(fired, direction, at_us, pulse_us)
     limit_m = sleeve.law.face_m - LEAST_MARGIN_M
-
-    def gets_m(unknowns: Vector | None = None) -> float:
-        return direction * _stopped(sleeve, direction, switches, unknowns).furthest_m
-
-    expected_m = gets_m()
+    expected_m = _expected_m(sleeve, direction, switches)
     if expected_m > limit_m:
         return False
+    gets_m = partial(_gets_m, sleeve, direction, switches)
+    bad_side = sleeve.unknowns_at(SURE, gets_m, switches, expected_m)
     # Followed by the law, not extrapolated: once out of its detent a sleeve goes on to the teeth.
-    return gets_m(sleeve.unknowns_at(SURE, gets_m, switches, expected_m)) <= limit_m
+    return bool(gets_m(bad_side[np.newaxis])[0] <= limit_m)
 
 
-def _stop_sd_m(
-    sleeve: DrivenSleeve, direction: int, switches: list[Switch], gets_m: float
-) -> float:
-    """Deviation of the place to which an aborted sleeve gets."""
+def _expected_m(sleeve: DrivenSleeve, direction: int, switches: list[Switch]) -> float:
+    """As far as it gets by these switches."""
+    return float(_gets_m(sleeve, direction, switches, sleeve.unknowns(switches)[np.newaxis])[0])
 
-    def furthest_m(unknowns: Vector) -> float:
-        return _stopped(sleeve, direction, switches, unknowns).furthest_m
 
-    return sleeve.sd(furthest_m, switches, gets_m)
+def _gets_m(
+    sleeve: DrivenSleeve, direction: int, switches: list[Switch], unknowns: Vector
+) -> Vector:
+    """The same for each row of unknowns."""
+    found = sleeve.ways(
+        unknowns,
+        switches,
+        ending=TO_TURN,
+        until_us=switches[-1].time_us + STOPS_US,
+        level_m=direction * sleeve.law.stroke_m,
+        direction=float(direction),
+    )
+    return direction * found.of("furthest_m")

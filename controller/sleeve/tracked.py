@@ -10,19 +10,10 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import FOREVER, TO_TIME
+from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_TIME
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.fit import fit
-from meshpoint.controller.sleeve.law import (
-    GAIN,
-    LEFT,
-    LEFT_SD,
-    OFFSET,
-    OFFSET_UNIT_M,
-    PARAMETERS,
-    Prior,
-    SleeveLaw,
-)
+from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw
 from meshpoint.controller.sleeve.motion import Start, Way, follow
 from meshpoint.units import SECOND_US, US
 
@@ -224,19 +215,16 @@ class TrackedSleeve(DrivenSleeve):
         times = np.array(self.movement.times_us[:count])
         first_us = int(times[0])
         at = (times - first_us) // SAMPLE_US
-        seen = np.empty(int(at[-1]) + 1)
-        rest_m = self.rest_m
 
         def readings(unknowns: Vector) -> Vector:
-            state = self.start.state.copy()
-            state[0] = _place_m(unknowns, rest_m)
-            start = self.start._replace(state=state)
+            scale, offset_m = np.exp(unknowns[:, GAIN]), unknowns[:, OFFSET] * OFFSET_UNIT_M
+            seen = np.empty((len(unknowns), int(at[-1]) + 1))
             follow(
-                self.law, unknowns[:PARAMETERS], unknowns[PARAMETERS:], self.supply_pa, start,
-                self.switches, ending=TO_TIME, until_us=float(times[-1]) + 1.0,
-                seen=seen, first_us=first_us,
+                self.law, unknowns, self.supply_pa, self.start, self.switches, ending=TO_TIME,
+                until_us=float(times[-1]) + 1.0, seen=seen, first_us=first_us,
+                from_m=(self.rest_m - offset_m) / scale,
             )  # fmt: skip
-            return _reading_m(unknowns, seen[at])
+            return seen[:, at] * scale[:, np.newaxis] + offset_m[:, np.newaxis]
 
         begin = np.array([*self.learned, *self.late_s])
         measured = np.array(self.movement.readings_m[:count])
