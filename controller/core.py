@@ -302,6 +302,7 @@ class ControllerCore:
             None if engine is None else engine.engine_speed_rad_s,
             *torque,
             is_self_tested=self._guard.is_proven,
+            more_lead_us=self._refused.more_us,
         )
 
     @property

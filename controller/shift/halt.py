@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import ShiftContext
@@ -36,7 +35,7 @@ def better_halted(
     shift, plan = context.running, context.running.plan
     if plan is None or _has_spent_its_time(context, snapshot):
         return None
-    gear, at_us = shift.target.main, snapshot.now_us + BUS_US
+    gear, at_us = shift.target.main, snapshot.at_once_us
     sleeves, next_us = context.sleeves, at_us + context.tick_us
     # Until the last step in which it can be stopped, waiting costs nothing and more is known.
     if sleeves.stops(gear, plan.fire_us, next_us) or not sleeves.stops(gear, plan.fire_us, at_us):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
@@ -56,7 +55,7 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
     for sleeve in MAIN_SLEEVES:
         if _may_be_in_mesh(context, snapshot, sleeve):
             return True
-        pulse = context.sleeves.to_neutral(sleeve, snapshot.now_us + BUS_US)
+        pulse = context.sleeves.to_neutral(sleeve, snapshot.at_once_us)
         if pulse is not None:
             context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
             if context.shift is not None:

@@ -57,4 +57,5 @@ def test_a_sleeve_that_is_stopped_at_each_firing_comes_into_its_gear_in_time(
 ) -> None:
     row = aimed_shift(monkeypatch, 1_000)
     assert row.aborts > 1
-    assert row.duration_ms < PLAIN.limits.synchronise_ms
+    # What the stops cost in speed is raised again, and that has a limit of its own.
+    assert row.duration_ms < PLAIN.limits.synchronise_ms + PLAIN.limits.raise_ms
