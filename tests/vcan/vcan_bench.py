@@ -313,8 +313,10 @@ class Bench:
         common = ["--gearbox", "thesis", "--pace", str(pace), "--speed", str(SPEED)]
         gear = ["--preset", "thesis", "--gear", "14", "--main-speed", "300"]
         self.rig = Command(folder, "rig", *gear, *common, *wire.options(wire.rig))
+        # an emulated processor computes what is cheapest: the bus is under test here
+        cheap = ["--estimator", "thesis", "--strategy", "speed_window"] if EMULATED else []
         headers = ["--header-dir", str(folder)]
-        arguments = [*headers, *common, *wire.options(wire.controller)]
+        arguments = [*headers, *cheap, *common, *wire.options(wire.controller)]
         self.controller = Command(folder, "controller", "--arm", *arguments)
 
     def __enter__(self) -> Bench:
