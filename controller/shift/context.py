@@ -36,6 +36,8 @@ DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
 BRAKE_GAUGES: Final = 8
+SHUTS_US: Final = 25 * MS_IN_US
+"""A sample is there this long after a valve's current of when the slowest valve has shut."""
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
@@ -158,6 +160,12 @@ class ShiftContext:
     def main_valves_rest(self, now_us: int) -> bool:
         """Whether no valve of the main box is driven or will be."""
         return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())
+
+    def is_shut(self, now_us: int) -> bool:
+        """Whether samples are there of after the last valve shut that pushed a sleeve to neutral,
+        or braked it there."""
+        pushed_us = self.running.pushed_us
+        return pushed_us is None or now_us > pushed_us + SHUTS_US
 
     def sense_sleeves(self, snapshot: StepSnapshot) -> None:
         """What this step's samples say of the main sleeves."""
