@@ -38,7 +38,7 @@ from meshpoint.controller.shift.table import (
 from meshpoint.controller.shift.to_neutral import has_left_neutral
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.dbc.messages import FaultCode, ShiftResult
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
@@ -121,8 +121,10 @@ class ShiftSequence(ShiftContext):
         return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _out_of_neutral(self, snapshot: StepSnapshot) -> Trigger:
-        """A sleeve has not come to rest in neutral: it is brought there, the brake released."""
+        """A sleeve has not come to rest in neutral: it is brought there, brake and clutch
+        released."""
         self.all_off(snapshot.now_us)
+        self.clutch, self.engine_rad_s = ClutchAction.OPEN, None
         self.running.plan = self.running.release_us = None
         self.running.returns += 1
         return Trigger.LEFT_NEUTRAL

@@ -9,6 +9,7 @@ from itertools import pairwise
 import pytest
 from shift_box import (
     CONTACT_M,
+    DOWN,
     FAST_UP,
     FIRST_SECOND,
     MAIN_SLEEVES,
@@ -206,5 +207,21 @@ def test_a_sleeve_that_leaves_neutral_while_the_gear_is_braked_is_brought_back_t
     while box.state is State.DISENGAGING:
         box.step()
     assert box.view.main_gear is MainGear.NEUTRAL
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+def test_a_sleeve_that_leaves_neutral_while_the_engine_raises_the_gear_finds_the_clutch_open() -> (
+    None
+):
+    """Else the layshaft would hang on the engine, and the gear could not be synchronised."""
+    box = aimed(*DOWN[:2])
+    box.ask(DOWN[2])
+    box.until(State.SPEED_RAISING)
+    box.position_m[FIRST_SECOND] = 3e-3
+    box.step()
+    assert box.state is State.DISENGAGING
+    assert box.sequence.clutch is ClutchAction.OPEN
+    assert box.sequence.engine_rad_s is None
     box.until(State.IN_GEAR)
     assert box.records[-1].result is ShiftResult.ENGAGED
