@@ -37,8 +37,8 @@ from meshpoint.controller.shift.table import (
 )
 from meshpoint.controller.shift.to_neutral import has_left_neutral
 from meshpoint.controller.strategy_file import StrategyError
-from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
+from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
