@@ -85,6 +85,9 @@ class ShiftSequence(ShiftContext):
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
         self.sense_sleeves(snapshot)
+        if not self._rests(snapshot):
+            # Forgotten once over: a sensor clock that restarts may come by that time again.
+            self.ended_us = None
         self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
         self.driveline.measure(self.state, snapshot)
@@ -189,7 +192,6 @@ class ShiftSequence(ShiftContext):
         if self.ended_us is None:
             return False
         rest_s = self.sheet.clutch.open_delay_s + self.sheet.clutch.close_delay_s
-        # A sensor clock that restarted may lie behind: then nobody knows how long ago it was.
         return 0 <= snapshot.now_us - self.ended_us < rest_s * SECOND_US
 
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:
