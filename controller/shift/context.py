@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
@@ -34,6 +35,9 @@ FALL_US: Final = 20 * MS_IN_US
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
+BRAKE_GAUGES: Final = 8
+SHUTS_US: Final = 25 * MS_IN_US
+"""A sample is there this long after a valve's current of when the slowest valve has shut."""
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
@@ -68,6 +72,8 @@ class ShiftContext:
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
+        self.brake_gauges: deque[tuple[int, float]] = deque(maxlen=BRAKE_GAUGES)
+        """The brake's pressure (Pa, gauge) in each of the newest steps, with the step's time."""
         self.freed_us = 0
         """When a sleeve between neutral and a gear was last sent to neutral, between shifts."""
         self.clutch = ClutchAction.OPEN
@@ -155,11 +161,18 @@ class ShiftContext:
         """Whether no valve of the main box is driven or will be."""
         return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())
 
+    def is_shut(self, now_us: int) -> bool:
+        """Whether samples are there of after the last valve shut that pushed a sleeve to neutral,
+        or braked it there."""
+        pushed_us = self.running.pushed_us
+        return pushed_us is None or now_us > pushed_us + SHUTS_US
+
     def sense_sleeves(self, snapshot: StepSnapshot) -> None:
         """What this step's samples say of the main sleeves."""
         if math.isfinite(snapshot.supply_pa):
             self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         self.sleeves.take(snapshot.view, snapshot.now_us)
+        self.brake_gauges.append((snapshot.now_us, snapshot.view.brake_gauge_pa))
 
     def tell_sleeves(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""

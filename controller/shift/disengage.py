@@ -58,8 +58,11 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if gear is MainGear.NEUTRAL and comes_to_rest(context, snapshot):
         # The range waits for a sleeve that runs through neutral to stand there, and the brake for
         # one that was pushed back: the guard takes it to be on its way to a gear until then.
-        waits = shift.pushed_us is not None or snapshot.view.range_ is not shift.target.range_
-        return None if waits and not stand(context, snapshot) else Trigger.MAIN_BOX_NEUTRAL
+        is_pushed = shift.pushed_us is not None and not shift.is_braked
+        waits = is_pushed or snapshot.view.range_ is not shift.target.range_
+        if not waits or stand(context, snapshot):
+            return Trigger.MAIN_BOX_NEUTRAL
+        return None
     if gear is not None and gear is not MainGear.NEUTRAL:
         if _stays_in(context, snapshot):
             return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)

@@ -7,23 +7,18 @@ stands if that brings a good gap soon enough, and else goes back to neutral (`en
 
 from __future__ import annotations
 
-from typing import Final
-
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.in_mesh import in_mesh
+from meshpoint.controller.shift.refire import STANDS_US, fires_again_us
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.sleeve.answers import Halt
 from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
-
-STANDS_US: Final = 150 * MS_IN_US
-"""A sleeve stands before turning teeth for no longer: a gap further off is as soon reached from
-neutral."""
 
 
 def better_halted(
@@ -47,7 +42,10 @@ def better_halted(
         return halt
     if not shift_aims(context):
         return None
-    earliest_us = max(halt.off_us, snapshot.earliest_us + context.tick_us)
+    next_us = max(halt.off_us, snapshot.earliest_us + context.tick_us)
+    earliest_us = fires_again_us(context, predictor, snapshot, next_us)
+    if earliest_us is None:
+        return None
     again = context.with_stroke(
         predictor, context.sleeves.stroke_after(gear, halt, earliest_us), earliest_us
     )
@@ -98,7 +96,11 @@ def stand(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         return fired
     if predictor.steady_slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
         return Trigger.BLOCKED
-    plan_firing(context, predictor, snapshot, max(snapshot.earliest_us, stopped_us))
+    next_us = max(snapshot.earliest_us, stopped_us)
+    earliest_us = fires_again_us(context, predictor, snapshot, next_us)
+    if earliest_us is None:
+        return Trigger.BLOCKED
+    plan_firing(context, predictor, snapshot, earliest_us)
     is_far = shift.plan is not None and shift.plan.fire_us > context.since_us + STANDS_US
     return Trigger.BLOCKED if is_far else None
 

@@ -37,8 +37,8 @@ from meshpoint.controller.shift.table import (
 )
 from meshpoint.controller.shift.to_neutral import has_left_neutral
 from meshpoint.controller.strategy_file import StrategyError
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
@@ -85,6 +85,9 @@ class ShiftSequence(ShiftContext):
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
         self.sense_sleeves(snapshot)
+        if not self._rests(snapshot):
+            # Forgotten once over: a sensor clock that restarts may come by that time again.
+            self.ended_us = None
         self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
         self.driveline.measure(self.state, snapshot)
@@ -121,8 +124,10 @@ class ShiftSequence(ShiftContext):
         return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _out_of_neutral(self, snapshot: StepSnapshot) -> Trigger:
-        """A sleeve has not come to rest in neutral: it is brought there, the brake released."""
+        """A sleeve has not come to rest in neutral: it is brought there, brake and clutch
+        released."""
         self.all_off(snapshot.now_us)
+        self.clutch, self.engine_rad_s = ClutchAction.OPEN, None
         self.running.plan = self.running.release_us = None
         self.running.returns += 1
         return Trigger.LEFT_NEUTRAL
@@ -187,7 +192,6 @@ class ShiftSequence(ShiftContext):
         if self.ended_us is None:
             return False
         rest_s = self.sheet.clutch.open_delay_s + self.sheet.clutch.close_delay_s
-        # A sensor clock that restarted may lie behind: then nobody knows how long ago it was.
         return 0 <= snapshot.now_us - self.ended_us < rest_s * SECOND_US
 
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:

@@ -208,7 +208,8 @@ def plan_firing(
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         plan = None
     mine = SLEEVE_OF_MAIN[shift.target.main].sleeve
-    if not all(snapshot.view.rests(other) for other in MAIN_SLEEVES if other is not mine):
+    others_rest = all(map(snapshot.view.rests, set(MAIN_SLEEVES) - {mine}))
+    if not (others_rest and context.is_shut(snapshot.now_us)):
         plan = None  # the guard lets no sleeve go while the other one may move
     if plan is None:
         context.board.off(valve)

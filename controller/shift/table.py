@@ -153,6 +153,8 @@ class ShiftRecord:
     """How often the old gear was pulled."""
     pushed_us: int | None = None
     """When a valve last went off that pushed a sleeve on to neutral, or braked it there."""
+    is_braked: bool = False
+    """Whether it braked the sleeve."""
     returns: int = 0
     """How often a sleeve that had left neutral was brought back."""
     pull_again_us: int = 0

@@ -12,14 +12,17 @@ from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.gearbox.gears import MAIN_SLEEVES, Sleeve
+from meshpoint.controller.sleeve.answers import Pulse
+from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, Sleeve
 
 CLEAR_M: Final = 1.0e-3
 """A sleeve this far before a gear's teeth has none between them."""
 PRESSED_PA: Final = 0.8e5
 """With more than this, gauge, the brake presses: the guard lets no gear be pulled out then."""
-SHUTS_US: Final = 25 * MS_IN_US
-"""A sample is there this long after a valve's current of when the slowest valve has shut."""
+BRAKES_US: Final = 20 * MS_IN_US
+"""So soon after the end of a push a pulse against it brakes."""
+_OTHER: Final = {SLEEVE_VALVE[gear]: OPPOSITE[gear] for gear in MAIN_GEARS}
 RESTS_US: Final = 60 * MS_IN_US
 """A sleeve whose valves are off comes to rest within this time."""
 
@@ -31,8 +34,11 @@ def has_left_neutral(snapshot: StepSnapshot) -> bool:
 
 def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether both main sleeves come to rest in neutral as commanded, none driven any more."""
-    if not context.main_valves_rest(snapshot.now_us):
-        return False
+    return context.main_valves_rest(snapshot.now_us) and is_to_rest(context, snapshot)
+
+
+def is_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """The same, by what is still to come of their pulses."""
     at_us = snapshot.now_us + RESTS_US
     places = [context.sleeves.place(sleeve, at_us) for sleeve in MAIN_SLEEVES]
     return all(abs(place.m) < VIEW_NEUTRAL_M for place in places)
@@ -40,9 +46,7 @@ def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 def stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether both main sleeves are seen to stand since a valve last pushed one of them."""
-    pushed_us = context.running.pushed_us
-    is_shut = pushed_us is None or snapshot.now_us > pushed_us + SHUTS_US
-    return is_shut and not is_under_way(context, snapshot)
+    return context.is_shut(snapshot.now_us) and not is_under_way(context, snapshot)
 
 
 def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: bool) -> bool:
@@ -60,8 +64,16 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
             context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
             if context.shift is not None:
                 context.shift.pushed_us = pulse.off_us
+                context.shift.is_braked = _brakes(context, pulse)
             return True
     return _moves(context, snapshot)
+
+
+def _brakes(context: ShiftContext, pulse: Pulse) -> bool:
+    """Whether the guard takes this pulse to brake what the sleeve's other valve has set going, and
+    not to send it to a gear."""
+    before = context.board.command(_OTHER[pulse.valve])
+    return before.on and 0 <= pulse.on_us - before.until_us <= BRAKES_US
 
 
 def _may_be_in_mesh(context: ShiftContext, snapshot: StepSnapshot, sleeve: Sleeve) -> bool:

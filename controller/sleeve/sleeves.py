@@ -20,6 +20,7 @@ from meshpoint.controller.sleeve.law_figures import LawFigures, law_figures
 from meshpoint.controller.sleeve.law_record import known_from, law_record
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stopping import (
+    LONGEST_PULSE_US,
     aborted,
     halted,
     latest_abort_us,
@@ -28,6 +29,7 @@ from meshpoint.controller.sleeve.stopping import (
 )
 from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
 from meshpoint.controller.sleeve.to_rest import (
+    LONGEST_PULL_US,
     NEAR_NEUTRAL_M,
     pulse_of,
     pulse_to_neutral_us,
@@ -271,9 +273,12 @@ class Sleeves:
         row could throw it to the other gear."""
         rests_m = rests_at_m(self._sleeves[sleeve], at_us)
         direction = 1 if rests_m < 0.0 else -1
-        if abs(rests_m) < NEAR_NEUTRAL_M or direction * self.place(sleeve, at_us).speed_m_s > 0.0:
+        place = self.place(sleeve, at_us)
+        if abs(rests_m) < NEAR_NEUTRAL_M or direction * place.speed_m_s > 0.0:
             return None
-        return self._pulse(sleeve, at_us, direction)
+        # A longer pulse does not brake any more: it would set the sleeve going the other way.
+        longest_us = LONGEST_PULSE_US if place.is_moving else LONGEST_PULL_US
+        return self._pulse(sleeve, at_us, direction, longest_us)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and
@@ -288,11 +293,11 @@ class Sleeves:
     def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
         side = _SIDES[gear]
-        return self._pulse(side.sleeve, on_us, -side.direction)
+        return self._pulse(side.sleeve, on_us, -side.direction, LONGEST_PULL_US)
 
-    def _pulse(self, sleeve: Sleeve, on_us: int, direction: int) -> Pulse:
+    def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, longest_us: int) -> Pulse:
         tracked = self._sleeves[sleeve]
-        long_us = pulse_to_neutral_us(tracked, direction, on_us)
+        long_us = pulse_to_neutral_us(tracked, direction, on_us, longest_us)
         rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
 

@@ -26,14 +26,16 @@ def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch
     return Switch(on_us, valve, True), Switch(on_us + length_us, valve, False)
 
 
-def pulse_to_neutral_us(sleeve: DrivenSleeve, direction: int, on_us: int) -> int:
+def pulse_to_neutral_us(
+    sleeve: DrivenSleeve, direction: int, on_us: int, longest_us: int = LONGEST_PULL_US
+) -> int:
     """How long the valve that pushes there has to be on.
 
     Between the shortest pulse that gets there and the longest that does not go beyond, in the
     middle: the detent makes good for what the law does not know."""
     ends_us = []
     for level_m in (-NEAR_NEUTRAL_M, NEAR_NEUTRAL_M):
-        short_us, long_us = 0, LONGEST_PULL_US
+        short_us, long_us = 0, longest_us
         while long_us - short_us > PULL_STEP_US:
             middle_us = (short_us + long_us) // 2
             m = rests_at_m(sleeve, on_us, pulse_of(direction, on_us, middle_us))

@@ -279,17 +279,17 @@ class SleeveActuator:
         "damping_tolerance_percent", 0.1, 300.0, 0.01, default=70.0 * 0.01
     )
     """By how much the damping may differ, from sleeve to sleeve and with the oil's temperature."""
-    dead_m3: float = quantity("dead_cm3", 0.1, 2000.0, CM3, default=15.0 * CM3)
+    dead_m3: float = quantity("dead_cm3", 0.1, 2000.0, CM3, default=35.0 * CM3)
     """Volume of a chamber and its pipe with the piston at its near end."""
-    dead_tolerance: float = quantity("dead_tolerance_percent", 0.1, 1000.0, 0.01, default=1.0)
+    dead_tolerance: float = quantity("dead_tolerance_percent", 0.1, 1000.0, 0.01, default=0.6)
     """By how much that may differ: a pipe's length is seldom stated."""
-    vent_share: float = quantity("vent_percent", 10.0, 500.0, 0.01, default=1.0)
+    vent_share: float = quantity("vent_percent", 10.0, 500.0, 0.01, default=1.25)
     """Conductance of a valve's way out over that of its way in. The way in itself is the one that
     gives `delay_ms`."""
-    vent_tolerance: float = quantity("vent_tolerance_percent", 0.1, 100.0, 0.01, default=0.3)
+    vent_tolerance: float = quantity("vent_tolerance_percent", 0.1, 100.0, 0.01, default=0.25)
     """By how much that share may differ."""
-    detent_n: float = quantity("detent_n", 0.0, 5000.0, default=50.0)
-    """The greatest force of the detent that holds a sleeve in neutral."""
+    detent_n: float = quantity("detent_n", 0.0, 5000.0, default=600.0)
+    """The greatest force of the detent that holds a sleeve in neutral: 400 to 800 N is usual."""
     detent_tolerance_n: float = quantity("detent_tolerance_n", 0.1, 5000.0, default=150.0)
     """By how much the detent's force may differ."""
     detent_m: float = quantity("detent_mm", 0.1, 10.0, MM, default=2.0 * MM)

@@ -9,6 +9,7 @@ from itertools import pairwise
 import pytest
 from shift_box import (
     CONTACT_M,
+    DOWN,
     FAST_UP,
     FIRST_SECOND,
     MAIN_SLEEVES,
@@ -46,9 +47,11 @@ def kicked(kick: float, way: tuple[int, float, int] = UP) -> Box:
 def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_fired_again_from_where_it_stands(
     kick: float,
 ) -> None:
-    """What was stopped is no attempt, and the next firing meets the gap."""
+    """What was stopped is no attempt, and the next firing meets the gap. The brake was released
+    before the first one: while the layshaft falls at its full torque, the guard lets no sleeve be
+    fired that may be at the teeth at once."""
     met: list[float] = []
-    box = kicked(kick)
+    box = kicked(kick, FAST_UP)
     box.face = lambda phase: met.append(phase) or False  # type: ignore[func-returns-value]
     fired_us = box.board.command(VALVE).time_us
     last_us = box.sequence.sleeves.last_abort_us(MainGear.SECOND, fired_us)
@@ -204,5 +207,21 @@ def test_a_sleeve_that_leaves_neutral_while_the_gear_is_braked_is_brought_back_t
     while box.state is State.DISENGAGING:
         box.step()
     assert box.view.main_gear is MainGear.NEUTRAL
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+def test_a_sleeve_that_leaves_neutral_while_the_engine_raises_the_gear_finds_the_clutch_open() -> (
+    None
+):
+    """Else the layshaft would hang on the engine, and the gear could not be synchronised."""
+    box = aimed(*DOWN[:2])
+    box.ask(DOWN[2])
+    box.until(State.SPEED_RAISING)
+    box.position_m[FIRST_SECOND] = 3e-3
+    box.step()
+    assert box.state is State.DISENGAGING
+    assert box.sequence.clutch is ClutchAction.OPEN
+    assert box.sequence.engine_rad_s is None
     box.until(State.IN_GEAR)
     assert box.records[-1].result is ShiftResult.ENGAGED

@@ -83,3 +83,18 @@ def test_what_is_commanded_anew_replaces_what_was_still_to_come() -> None:
 def test_a_sleeve_in_neutral_needs_no_pulse() -> None:
     sleeves = Sleeves(SHEET)
     assert sleeves.to_neutral(SLEEVE_OF_MAIN[MainGear.FIRST].sleeve, NOW_US) is None
+
+
+def test_a_sleeve_that_flies_on_is_braked_and_not_sent_back() -> None:
+    """A pulse against its motion is as short as the guard asks of one that brakes: a longer one
+    would set the sleeve going the other way."""
+    sleeves, gear = Sleeves(SHEET), MainGear.SECOND
+    at(sleeves, NOW_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    at(sleeves, FIRE_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], False, FIRE_US + 25_000)
+    at(sleeves, FIRE_US + 28_000)
+    braking = sleeves.to_neutral(SLEEVE_OF_MAIN[gear].sleeve, FIRE_US + 30_000)
+    assert braking is not None
+    assert braking.valve is OPPOSITE[gear]
+    assert 5_000 < braking.off_us - braking.on_us <= 15_000
