@@ -27,6 +27,7 @@ FIRED_US = NOW - 31_000
 """The sleeve may meet its gear from 9 ms after NOW on, and does within 19 ms: 29 ms after the
 newest speeds, which are 10 ms old."""
 AHEAD_S = 0.029
+OLD_S = 0.010
 STOPS_US = FIRED_US + math.ceil(longest_pulse_us(LIMITS, 0.0))
 """A valve that is off then has not moved its sleeve to the teeth."""
 LAST_STOP_US = STOPS_US - 1
@@ -172,10 +173,24 @@ def test_at_the_last_stop_the_main_shaft_may_go_on_as_it_has_until_contact(
     assert judged(at_the_last_stop(down_rpm=0.0, up_rpm=90.0 + beyond_rpm, **fast)) == row
 
 
-def test_at_the_last_stop_the_layshaft_is_taken_to_keep_its_speed() -> None:
-    """The brake may slow it still: at the last call it is judged how far it can have fallen."""
-    assert judged(at_the_last_stop(layshaft_rpm_s=-1e4)) is None
-    assert judged(swinging(layshaft_rpm_s=-1e4)) == 3
+@pytest.mark.parametrize(
+    ("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)], ids=["in the window", "out of it"]
+)
+def test_at_the_last_stop_the_layshaft_has_fallen_on_until_now(
+    beyond_rpm: float, row: int | None
+) -> None:
+    """Its newest speed is 10 ms old; slip and margin may be 130 rpm at most and -70 at least. From
+    now on it keeps its speed: the brake may slow it still, and what it does until contact is asked
+    at the last call."""
+    high = at_the_last_stop(slip_rpm=140.0 + beyond_rpm, layshaft_rpm_s=-10.0 / RATIO / OLD_S)
+    low = at_the_last_stop(slip_rpm=-60.0 - beyond_rpm, layshaft_rpm_s=-10.0 / RATIO / OLD_S)
+    assert judged(high) == row
+    assert judged(low) == row
+
+
+def test_at_the_last_stop_a_layshaft_that_gains_speed_is_taken_to_keep_it() -> None:
+    assert judged(at_the_last_stop(slip_rpm=129.5, layshaft_rpm_s=1e4)) is None
+    assert judged(at_the_last_stop(slip_rpm=130.5, layshaft_rpm_s=1e4)) == 3
 
 
 @pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])

@@ -152,11 +152,11 @@ def test_a_valve_brakes_one_push_once() -> None:
 
 
 def test_two_short_pushes_are_not_braked_as_if_they_were_one_long_one() -> None:
-    """5 ms each, 31 apart: the brake could be off after 15."""
+    """5 ms each within 20, before the sleeve is seen to stand: the brake could be off after 15."""
     guard = fired()
     assert row(guard, at(9)) is None
-    assert row(guard, at(36), {SECOND: (ON_AT, 40)}) is None
-    assert row(guard, at(45), {FIRST: (ON_NOW, 0)}) == 3
+    assert row(guard, at(15), {SECOND: (ON_AT, 19)}) is None
+    assert row(guard, at(24), {FIRST: (ON_NOW, 0)}) == 3
 
 
 def test_both_valves_of_an_aborted_sleeve_are_never_on_together() -> None:
