@@ -13,17 +13,17 @@ import pytest
 from guard_cases import LIMITS, NEUTRAL, NOW, SETTINGS, SHEET, encoded, place, ready, speeds
 
 from meshpoint.controller.guard.case import MAIN_VALVES, NO_SPANS, Case, GuardState, Span
-from meshpoint.controller.guard.limits import guard_limits
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, guard_limits
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.sleeve_motion import contact_between_us, longest_pulse_us
 from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 
-FIRST, SECOND, _, THIRD = MAIN_VALVES
+FIRST, SECOND, CRAWL, THIRD = MAIN_VALVES
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = ValveAction
-NAMES = {0: "brake", 1: "split_low", 3: "main_first", 4: "main_second", 6: "main_third",
-         8: "range_high"}  # fmt: skip
+NAMES = {0: "brake", 1: "split_low", 3: "main_first", 4: "main_second", 5: "main_crawl",
+         6: "main_third", 8: "range_high"}  # fmt: skip
 BRAKE, SPLIT_LOW, RANGE_HIGH = 0, 1, 8
 Order = tuple[ValveAction, float]
 
@@ -84,6 +84,15 @@ def standing(way_mm: float, since_ms: float = 100.0) -> Guard:
 
 def test_a_firing_is_aborted_by_the_other_valve_whatever_slip_its_gear_has() -> None:
     assert aborted().blocks == 0
+
+
+@pytest.mark.parametrize(
+    ("fires", "brakes"), [(FIRST, SECOND), (SECOND, FIRST), (CRAWL, THIRD), (THIRD, CRAWL)]
+)
+def test_each_valve_is_braked_by_the_other_one_of_its_sleeve(fires: int, brakes: int) -> None:
+    guard, slip_rpm = ready(), slip_for(fires)
+    for ms, orders in ((0.0, {fires: (ON_AT, 4.0)}), (20.0, {brakes: (ON_AT, 22.0)})):
+        assert row(guard, at(ms, slip_rpm=slip_rpm), orders) is None
 
 
 def test_the_other_valve_on_for_a_tick_longer_engages_its_own_gear() -> None:
@@ -407,6 +416,42 @@ def test_a_sleeve_fired_after_its_pull_is_not_neutral_before_it_is_seen_to_stand
     assert row(guard, at(70, -1.0, late_ms=20.0)) is None
     seen = at(72, -1.0, late_ms=20.0, slip_rpm=slip_for(THIRD))
     assert row(guard, seen, {valve: (ON_AT, 74)}) == forbidden
+
+
+@pytest.mark.parametrize(("off_ms", "forbidden"), [(6.999, None), (7.0, 5)])
+def test_a_pull_that_ended_less_than_the_least_delay_ago_still_pulls(
+    off_ms: float, forbidden: int | None
+) -> None:
+    """Its teeth will be out as the brake's air comes, though they are not yet."""
+    guard = ready()
+    assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(30, 9.0, -0.4), {FIRST: (OFF_AT, 40)}) is None
+    seen = at(40 + off_ms, 5.5, -0.6)
+    assert row(guard, seen, {BRAKE: (ON_AT, 50)}) == forbidden
+
+
+def test_a_pulse_that_goes_on_counts_from_the_one_before() -> None:
+    """0.5 ms and a break of 0.3: of 16 ms since the first one each command has 15 before it."""
+    guard = standing(3.0)
+    assert row(guard, at(110, 3.0), {FIRST: (ON_NOW, 0)}) is None
+    assert row(guard, at(110.5, 3.0)) is None
+    assert row(guard, at(110.8, 3.0), {FIRST: (ON_NOW, 0)}) is None
+    assert row(guard, at(111.5, 3.0), {FIRST: (ON_NOW, 0)}) == 3
+
+
+def test_a_pulse_whose_end_is_now_is_over() -> None:
+    """On for 12 of the 16 ms that it may brake."""
+    guard = fired()
+    assert row(guard, at(20), {FIRST: (ON_AT, 22)}) is None
+    assert row(guard, at(30), {FIRST: (OFF_AT, 34)}) is None
+    assert row(guard, at(34), {FIRST: (ON_NOW, 0)}) == 3
+
+
+def test_at_the_limits_themselves_teeth_are_out() -> None:
+    """Of a sleeve that stands before them, and of one that is seen to move in neutral."""
+    for place_m, speed_m_s in ((LIMITS.apart_m, 0.0), (GUARD_NEUTRAL_M, 0.1)):
+        seen = place(at(110), 0, place_m)._replace(means_m_s=(speed_m_s, 0.0))
+        assert row(standing(0.0), seen, {BRAKE: (ON_AT, 112)}) is None
 
 
 def test_a_firing_after_a_pulse_back_is_on_its_way_like_any_other() -> None:
