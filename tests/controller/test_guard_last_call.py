@@ -260,6 +260,17 @@ def test_the_same_speed_heard_again_changes_nothing_and_none_is_not_known() -> N
     assert memory.take(None) is None
 
 
+def test_with_another_clock_no_rate_of_before_is_one_of_the_period() -> None:
+    memory = SwingMemory()
+    for k, rpm in enumerate((500.0, 510.0, 530.0)):
+        memory.take(ShaftSpeed(NOW + k * CYCLE_US, rpm * RPM))
+    memory.forget()
+    for k in range(3):
+        swing = memory.take(ShaftSpeed(NOW + (k + 3) * CYCLE_US, 500.0 * RPM))
+    assert swing is not None
+    assert (swing.falls_rad_s2, swing.rises_rad_s2) == (0.0, 0.0)
+
+
 def test_the_view_tells_how_the_shafts_swing_and_nothing_of_before_another_clock() -> None:
     """After the sixth frame the sensors start anew; their first two speeds tell no swing yet."""
     guard_view, seen = view(), []
