@@ -27,7 +27,7 @@ from meshpoint.controller.guard.view import GuardInputs, GuardView
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.observer import Observer
-from meshpoint.controller.report.log_lines import decision_line
+from meshpoint.controller.report.log_lines import decision_line, outcome_line
 from meshpoint.controller.report.reporter import Reporter
 from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.refused_lead import RefusedLead
@@ -355,12 +355,8 @@ class ControllerCore:
         if sequence.state is not before:
             events.append(f"{before.name.lower()} -> {sequence.state.name.lower()}")
         if sequence.finished is not None:
-            shift = sequence.finished
             self.shifts += 1
-            events.append(
-                f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
-                f", {shift.attempts} fired, fault {shift.fault.name.lower()}"
-            )
+            events.append(outcome_line(sequence.finished))
 
     def _log_decision(self, snapshot: StepSnapshot, events: list[str]) -> None:
         """A log line if the decision differs from the one before."""

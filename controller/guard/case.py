@@ -313,11 +313,11 @@ class Case(NamedTuple):
 
     def is_neutral(self, sleeve: int) -> bool:
         """Whether a main sleeve is proven neutral: it is measured there, and has been seen to stand
-        since a valve drove it; after a pull, to move no more."""
+        since a valve drove it; after a pull and nothing else, to move no more."""
         drives = self.drives_before(sleeve)
         return (
             abs(self.seen.positions_m[sleeve]) <= GUARD_NEUTRAL_M
-            and all(drive.pulls for drive in drives)
+            and all(drive.pulls and not drive.engages for drive in drives)
             and not (drives and abs(self.seen.means_m_s[sleeve]) >= LEAVING_M_S)
         )
 

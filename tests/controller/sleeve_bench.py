@@ -23,12 +23,14 @@ class SleeveBench:
         self.sleeves, self.sleeve = Sleeves(sheet), sleeve
         self.view = GearboxView(sheet)
         self.now_us = 0
+        self.back_us = 0
+        """By so much the sensors' clock, which the room goes by, was set back."""
         self.run(200_000)
 
     def command(self, valve: int, on: bool, time_us: int) -> None:
         """To the valve and to the room."""
         self.sleeve.command(valve, on, time_us)
-        self.sleeves.commanded(VALVES[valve], on, time_us)
+        self.sleeves.commanded(VALVES[valve], on, time_us - self.back_us)
 
     def step(self) -> None:
         """Ten milliseconds more."""
@@ -38,8 +40,9 @@ class SleeveBench:
             samples.append(self.sleeve.reading_m())
         self.now_us += TICK_US
         message = SleevesMain(0, 0, tuple(reversed(samples)), (0.0,) * 10)
-        self.view.sleeves_main(message, self.now_us)
-        self.sleeves.take(self.view, self.now_us + 2_000)
+        sensor_us = self.now_us - self.back_us
+        self.view.sleeves_main(message, sensor_us)
+        self.sleeves.take(self.view, sensor_us + 2_000)
 
     def run(self, by_us: int) -> None:
         """So much longer, in whole steps."""
@@ -59,28 +62,28 @@ class SleeveBench:
         """A stroke into the gear: its predicted and its true contact, us after the coil."""
         gear = GEAR if way == 0 else OTHER
         fire_us = self.now_us + 15_000
-        predicted = self.sleeves.stroke(gear, fire_us)
+        predicted = self.sleeves.stroke(gear, fire_us - self.back_us)
         self.sleeve.reached_us.clear()
         self.command(way, True, fire_us)
         self.run(150_000)
         face = FACE if way == 0 else -FACE
-        return predicted.contact_us - fire_us, self.sleeve.reached_us[face] - fire_us
+        return predicted.contact_us - fire_us + self.back_us, self.sleeve.reached_us[face] - fire_us
 
     def back(self, way: int = 0) -> float:
         """Out of the gear and to neutral by the room's own pulses; where the first one left it."""
         self.command(way, False, self.now_us + 4_000)
         self.run(1_000_000)
         on_us = self.now_us + 15_000
-        pulse = self.sleeves.pull_out(GEAR if way == 0 else OTHER, on_us)
-        self.pulse(1 - way, on_us, pulse.off_us)
+        pulse = self.sleeves.pull_out(GEAR if way == 0 else OTHER, on_us - self.back_us)
+        self.pulse(1 - way, on_us, pulse.off_us + self.back_us)
         self.run(300_000)
         first_m = self.sleeve.x
         for _ in range(4):
             on_us = self.now_us + 15_000
-            again = self.sleeves.to_neutral(SLEEVE, on_us)
+            again = self.sleeves.to_neutral(SLEEVE, on_us - self.back_us)
             if again is None:
                 break
-            self.pulse(VALVES.index(again.valve), on_us, again.off_us)
+            self.pulse(VALVES.index(again.valve), on_us, again.off_us + self.back_us)
             self.run(300_000)
         return first_m
 

@@ -27,6 +27,7 @@ FIRED_US = NOW - 31_000
 """The sleeve may meet its gear from 9 ms after NOW on, and does within 19 ms: 29 ms after the
 newest speeds, which are 10 ms old."""
 AHEAD_S = 0.029
+OLD_S = 0.010
 STOPS_US = FIRED_US + math.ceil(longest_pulse_us(LIMITS, 0.0))
 """A valve that is off then has not moved its sleeve to the teeth."""
 LAST_STOP_US = STOPS_US - 1
@@ -105,8 +106,11 @@ def test_however_fast_it_swings_no_further_than_it_has_been(
 
 
 def test_a_layshaft_that_gains_speed_is_not_taken_to_lose_any() -> None:
-    assert judged(swinging(slip_rpm=-69.5, layshaft_rpm_s=900.0)) is None
-    assert judged(swinging(slip_rpm=-70.5, layshaft_rpm_s=900.0)) == 3
+    """Nor to gain any until contact: the main shaft may rise by 9.5 rpm, which with the slip is the
+    window and its doubt of 1 rad/s."""
+    for up_rpm, row in ((9.5, None), (9.6, 3)):
+        rises = {"rises_rpm_s": 1e5, "up_rpm": up_rpm}
+        assert judged(swinging(slip_rpm=-60.0, layshaft_rpm_s=900.0, **rises)) == row
 
 
 @pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])
@@ -172,10 +176,24 @@ def test_at_the_last_stop_the_main_shaft_may_go_on_as_it_has_until_contact(
     assert judged(at_the_last_stop(down_rpm=0.0, up_rpm=90.0 + beyond_rpm, **fast)) == row
 
 
-def test_at_the_last_stop_the_layshaft_is_taken_to_keep_its_speed() -> None:
-    """The brake may slow it still: at the last call it is judged how far it can have fallen."""
-    assert judged(at_the_last_stop(layshaft_rpm_s=-1e4)) is None
-    assert judged(swinging(layshaft_rpm_s=-1e4)) == 3
+@pytest.mark.parametrize(
+    ("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)], ids=["in the window", "out of it"]
+)
+def test_at_the_last_stop_the_layshaft_has_fallen_on_until_now(
+    beyond_rpm: float, row: int | None
+) -> None:
+    """Its newest speed is 10 ms old; slip and margin may be 130 rpm at most and -70 at least. From
+    now on it keeps its speed: the brake may slow it still, and what it does until contact is asked
+    at the last call."""
+    high = at_the_last_stop(slip_rpm=140.0 + beyond_rpm, layshaft_rpm_s=-10.0 / RATIO / OLD_S)
+    low = at_the_last_stop(slip_rpm=-60.0 - beyond_rpm, layshaft_rpm_s=-10.0 / RATIO / OLD_S)
+    assert judged(high) == row
+    assert judged(low) == row
+
+
+def test_at_the_last_stop_a_layshaft_that_gains_speed_is_taken_to_keep_it() -> None:
+    assert judged(at_the_last_stop(slip_rpm=129.5, layshaft_rpm_s=1e4)) is None
+    assert judged(at_the_last_stop(slip_rpm=130.5, layshaft_rpm_s=1e4)) == 3
 
 
 @pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])
@@ -242,6 +260,17 @@ def test_the_same_speed_heard_again_changes_nothing_and_none_is_not_known() -> N
         swing = memory.take(ShaftSpeed(NOW + k * CYCLE_US, rpm * RPM))
     assert memory.take(ShaftSpeed(NOW + 2 * CYCLE_US, 530.0 * RPM)) == swing
     assert memory.take(None) is None
+
+
+def test_with_another_clock_no_rate_of_before_is_one_of_the_period() -> None:
+    memory = SwingMemory()
+    for k, rpm in enumerate((500.0, 510.0, 530.0)):
+        memory.take(ShaftSpeed(NOW + k * CYCLE_US, rpm * RPM))
+    memory.forget()
+    for k in range(3):
+        swing = memory.take(ShaftSpeed(NOW + (k + 3) * CYCLE_US, 500.0 * RPM))
+    assert swing is not None
+    assert (swing.falls_rad_s2, swing.rises_rad_s2) == (0.0, 0.0)
 
 
 def test_the_view_tells_how_the_shafts_swing_and_nothing_of_before_another_clock() -> None:

@@ -13,17 +13,17 @@ import pytest
 from guard_cases import LIMITS, NEUTRAL, NOW, SETTINGS, SHEET, encoded, place, ready, speeds
 
 from meshpoint.controller.guard.case import MAIN_VALVES, NO_SPANS, Case, GuardState, Span
-from meshpoint.controller.guard.limits import guard_limits
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, guard_limits
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.sleeve_motion import contact_between_us, longest_pulse_us
 from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 
-FIRST, SECOND, _, THIRD = MAIN_VALVES
+FIRST, SECOND, CRAWL, THIRD = MAIN_VALVES
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = ValveAction
-NAMES = {0: "brake", 1: "split_low", 3: "main_first", 4: "main_second", 6: "main_third",
-         8: "range_high"}  # fmt: skip
+NAMES = {0: "brake", 1: "split_low", 3: "main_first", 4: "main_second", 5: "main_crawl",
+         6: "main_third", 8: "range_high"}  # fmt: skip
 BRAKE, SPLIT_LOW, RANGE_HIGH = 0, 1, 8
 Order = tuple[ValveAction, float]
 
@@ -84,6 +84,15 @@ def standing(way_mm: float, since_ms: float = 100.0) -> Guard:
 
 def test_a_firing_is_aborted_by_the_other_valve_whatever_slip_its_gear_has() -> None:
     assert aborted().blocks == 0
+
+
+@pytest.mark.parametrize(
+    ("fires", "brakes"), [(FIRST, SECOND), (SECOND, FIRST), (CRAWL, THIRD), (THIRD, CRAWL)]
+)
+def test_each_valve_is_braked_by_the_other_one_of_its_sleeve(fires: int, brakes: int) -> None:
+    guard, slip_rpm = ready(), slip_for(fires)
+    for ms, orders in ((0.0, {fires: (ON_AT, 4.0)}), (20.0, {brakes: (ON_AT, 22.0)})):
+        assert row(guard, at(ms, slip_rpm=slip_rpm), orders) is None
 
 
 def test_the_other_valve_on_for_a_tick_longer_engages_its_own_gear() -> None:
@@ -152,11 +161,21 @@ def test_a_valve_brakes_one_push_once() -> None:
 
 
 def test_two_short_pushes_are_not_braked_as_if_they_were_one_long_one() -> None:
-    """5 ms each, 31 apart: the brake could be off after 15."""
+    """5 ms each within 20, before the sleeve is seen to stand: the brake could be off after 15."""
     guard = fired()
     assert row(guard, at(9)) is None
-    assert row(guard, at(36), {SECOND: (ON_AT, 40)}) is None
-    assert row(guard, at(45), {FIRST: (ON_NOW, 0)}) == 3
+    assert row(guard, at(15), {SECOND: (ON_AT, 19)}) is None
+    assert row(guard, at(24), {FIRST: (ON_NOW, 0)}) == 3
+
+
+def test_a_valve_that_has_nothing_left_to_brake_is_on_anew_and_needs_air() -> None:
+    """A push of 8 ms was braked for 13.5; the other gear's slip is in its window by now."""
+    guard = fired(on_ms=12.0)
+    assert row(guard, at(20), {FIRST: (ON_AT, 22)}) is None
+    assert row(guard, at(25), {FIRST: (OFF_AT, 35.5)}) is None
+    assert row(guard, at(36)) is None
+    low = at(37, slip_rpm=slip_for(FIRST))._replace(supply_pa=4.9e5)
+    assert row(guard, low, {FIRST: (ON_AT, 39)}) == 11
 
 
 def test_both_valves_of_an_aborted_sleeve_are_never_on_together() -> None:
@@ -332,7 +351,7 @@ def test_a_sleeve_that_was_stopped_is_proven_neutral_once_it_is_seen_to_stand(
     valve: int, forbidden: int
 ) -> None:
     """Off at 34 ms, the slowest valve has shut 17 ms later."""
-    third = {"slip_rpm": speeds_for_third()} if valve == THIRD else {}
+    third = {"slip_rpm": slip_for(THIRD)} if valve == THIRD else {}
     for sampled_ms, speed_m_s, found in (
         (50.999, 0.0, forbidden), (51.0, 0.0, None), (51.0, 0.05, forbidden),
         (51.0, -0.05, forbidden),
@@ -365,10 +384,103 @@ def test_a_pull_goes_on_after_a_break_until_the_sleeve_has_come_to_neutral() -> 
         assert row(guard, at(60, way_mm, -0.4), {FIRST: (ON_AT, 64)}) == forbidden
 
 
-def speeds_for_third() -> float:
-    """Slip of second gear at which third has 20 rpm."""
-    second, third = (LIMITS.main[valve].ratio for valve in (SECOND, THIRD))
-    return 20.0 - (third - second) * 1000.0
+def slip_for(valve: int) -> float:
+    """Slip of second gear at which this valve's gear has 20 rpm."""
+    second, other = (LIMITS.main[each].ratio for each in (SECOND, valve))
+    return 20.0 - (other - second) * 1000.0
+
+
+def test_a_pull_after_a_pulse_that_brought_the_sleeve_back_is_a_pull() -> None:
+    """Before it is seen to stand: it is proven neutral once it is measured there and still."""
+    guard = ready()
+    assert row(guard, at(0, -4.7), {SECOND: (ON_AT, 2)}) is None
+    assert row(guard, at(5, -4.7), {SECOND: (OFF_AT, 8)}) is None
+    assert row(guard, at(10, -4.9), {SECOND: (ON_AT, 14)}) is None
+    assert row(guard, at(30, -4.9), {SECOND: (ON_AT, 14)}) is None
+    assert row(guard, at(40, -1.0, late_ms=16.0)) is None
+    assert row(guard, at(41, -1.0, late_ms=17.0), {RANGE_HIGH: (ON_AT, 50)}) is None
+
+
+@pytest.mark.parametrize(("valve", "forbidden"), [(RANGE_HIGH, 8), (THIRD, 2)])
+def test_a_sleeve_fired_after_its_pull_is_not_neutral_before_it_is_seen_to_stand(
+    valve: int, forbidden: int
+) -> None:
+    """Pulled out of first gear, and fired into second by the same valve 6 ms after that: where it
+    is measured it has not moved yet."""
+    guard = ready()
+    for ms, way_mm in ((0.0, -12.0), (40.0, -6.0)):
+        assert row(guard, at(ms, way_mm), {SECOND: (ON_AT, 4)}) is None
+    assert row(guard, at(44, -1.0)) is None
+    for ms in (46.0, 56.0, 66.0):
+        assert row(guard, at(ms, -1.0, late_ms=20.0), {SECOND: (ON_AT, 50)}) is None
+    assert row(guard, at(70, -1.0, late_ms=20.0)) is None
+    seen = at(72, -1.0, late_ms=20.0, slip_rpm=slip_for(THIRD))
+    assert row(guard, seen, {valve: (ON_AT, 74)}) == forbidden
+
+
+@pytest.mark.parametrize(("off_ms", "forbidden"), [(6.999, None), (7.0, 5)])
+def test_a_pull_that_ended_less_than_the_least_delay_ago_still_pulls(
+    off_ms: float, forbidden: int | None
+) -> None:
+    """Its teeth will be out as the brake's air comes, though they are not yet."""
+    guard = ready()
+    assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(30, 9.0, -0.4), {FIRST: (OFF_AT, 40)}) is None
+    seen = at(40 + off_ms, 5.5, -0.6)
+    assert row(guard, seen, {BRAKE: (ON_AT, 50)}) == forbidden
+
+
+def test_a_pulse_that_goes_on_counts_from_the_one_before() -> None:
+    """0.5 ms and a break of 0.3: of 16 ms since the first one each command has 15 before it."""
+    guard = standing(3.0)
+    assert row(guard, at(110, 3.0), {FIRST: (ON_NOW, 0)}) is None
+    assert row(guard, at(110.5, 3.0)) is None
+    assert row(guard, at(110.8, 3.0), {FIRST: (ON_NOW, 0)}) is None
+    assert row(guard, at(111.5, 3.0), {FIRST: (ON_NOW, 0)}) == 3
+
+
+def test_a_pulse_whose_end_is_now_is_over() -> None:
+    """On for 12 of the 16 ms that it may brake."""
+    guard = fired()
+    assert row(guard, at(20), {FIRST: (ON_AT, 22)}) is None
+    assert row(guard, at(30), {FIRST: (OFF_AT, 34)}) is None
+    assert row(guard, at(34), {FIRST: (ON_NOW, 0)}) == 3
+
+
+def test_at_the_limits_themselves_teeth_are_out() -> None:
+    """Of a sleeve that stands before them, and of one that is seen to move in neutral."""
+    for place_m, speed_m_s in ((LIMITS.apart_m, 0.0), (GUARD_NEUTRAL_M, 0.1)):
+        seen = place(at(110), 0, place_m)._replace(means_m_s=(speed_m_s, 0.0))
+        assert row(standing(0.0), seen, {BRAKE: (ON_AT, 112)}) is None
+
+
+def test_a_firing_after_a_pulse_back_is_on_its_way_like_any_other() -> None:
+    """Brought back from before first gear's teeth by 12 ms of second's valve, then fired by it."""
+    guard = standing(-3.0)
+    assert row(guard, at(110, -3.0), {SECOND: (ON_AT, 112)}) is None
+    assert row(guard, at(120, -3.0), {SECOND: (OFF_AT, 124)}) is None
+    for ms in (130.0, 140.0, 150.0):
+        assert row(guard, at(ms, -2.0, late_ms=20.0), {SECOND: (ON_AT, 134)}) is None
+    assert row(guard, at(160, -1.0)) is None
+    assert row(guard, at(165, -1.0), {BRAKE: (ON_AT, 167)}) == 5
+
+
+def test_pushes_in_a_row_stop_short_as_from_the_place_nearest_to_the_teeth() -> None:
+    """Twice 5 ms within 12: from neutral they may take 13.5, from 3 mm 9.4."""
+    for way_mm, forbidden in ((0.0, None), (3.0, 5)):
+        guard = fired()
+        assert row(guard, at(9)) is None
+        assert row(guard, at(10, way_mm), {SECOND: (ON_AT, 11)}) is None
+        assert row(guard, at(16, way_mm)) is None
+        assert row(guard, at(20, way_mm), {BRAKE: (ON_AT, 22)}) == forbidden
+
+
+def test_a_valve_that_is_withdrawn_as_it_goes_on_may_have_moved_its_sleeve() -> None:
+    for on_ms, forbidden in ((10.0, 8), (10.001, None)):
+        guard = ready()
+        assert row(guard, at(0), {SECOND: (ON_AT, on_ms)}) is None
+        assert row(guard, at(10)) is None
+        assert row(guard, at(12), {RANGE_HIGH: (ON_AT, 15)}) == forbidden
 
 
 @pytest.mark.parametrize(("push_ms", "forbidden"), [(13.495, None), (13.6, 5)])
@@ -396,7 +508,7 @@ def test_the_brake_may_act_on_a_gear_whose_sleeve_stands_before_its_teeth(
 
 
 def test_range_and_the_other_sleeve_wait_for_neutral() -> None:
-    third = speeds_for_third()
+    third = slip_for(THIRD)
     assert row(standing(3.0), at(110, 3.0), {RANGE_HIGH: (ON_AT, 112)}) == 8
     assert row(standing(3.0), at(110, 3.0, slip_rpm=third), {THIRD: (ON_AT, 112)}) == 2
 
@@ -417,6 +529,15 @@ def test_row_20_a_sleeve_that_stood_before_the_teeth_for_too_long(
     guard = standing(way_mm)
     now_ms = 100 + stood_ms
     assert row(guard, at(now_ms, way_mm), {valve: (ON_AT, now_ms + 5)}) == forbidden
+
+
+def test_row_20_holds_for_each_sleeve() -> None:
+    guard = ready()
+    for ms, forbidden in ((0.0, None), (500.0, None), (501.0, 20)):
+        seen = place(at(ms), 1, 3e-3)
+        assert row(guard, seen, {SPLIT_LOW: (ON_AT, ms + 5)} if ms else {}) == forbidden
+        if ms == 500.0:
+            assert row(guard, seen) is None
 
 
 def test_row_20_the_way_back_is_free_and_ends_it() -> None:

@@ -136,6 +136,28 @@ def test_no_sleeve_is_fired_while_the_other_one_moves() -> None:
     box.until(State.ENGAGING)
 
 
+def test_a_clutch_that_stops_before_its_plates_part_gives_the_shift_up() -> None:
+    """It stops as the pull is sent, and torque holds the sleeve. The pull is taken back, and none
+    follows: the shift ends after as long as all attempts may take."""
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.DISENGAGING)
+    assert box.clutch > SHEET.clutch.kiss_share
+    silent_clutch(box)
+    box.stuck.add(FIRST_SECOND)
+    begun_us = box.now_us
+    box.step()
+    while box.running():
+        assert not any(box.board.command(valve).on for valve in ValveName)
+        box.step()
+    (record,) = box.records
+    assert record.fault is FaultCode.DISENGAGE_FAILED
+    assert record.result is ShiftResult.ENDED_IN_OLD_GEAR
+    limits = box.settings.limits
+    allowed_s = 1e-3 * limits.attempts * limits.disengage_ms
+    assert (box.now_us - begun_us) * 1e-6 == pytest.approx(allowed_s, abs=0.03)
+
+
 def rolls_too_fast(box: Box, number: int) -> None:
     """The vehicle has got faster than the gear asked for allows the input shaft to turn."""
     top = SHEET.limits.input_max_rad_s

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawn_sleeve import CYLINDERS, DETENT_M, FACE, DrawnSleeve
-from sleeve_bench import GEAR, OTHER, VALVES, SleeveBench
+from sleeve_bench import GEAR, OTHER, SLEEVE, VALVES, SleeveBench
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.sleeves import Sleeves
@@ -97,6 +97,22 @@ def test_a_contact_is_measured_when_the_sleeve_is_at_the_teeth(name: str, way: i
         assert measured_us == pytest.approx(fire_us + 15_000 + true_us, abs=600)
         assert bench.sleeves.contact_us(none, fire_us) is None
         bench.back(way)
+
+
+@pytest.mark.parametrize("since_ms", [30, 50, 60])
+def test_a_sensor_clock_set_back_amid_a_stroke_begins_the_sleeve_anew(since_ms: int) -> None:
+    """It is where it is measured, what it has learned stays, and the next contact is as sure."""
+    bench, _ = learned("narrow valve", 1, 4)
+    bench.command(0, True, bench.now_us + 5_000)
+    bench.run(1_000 * since_ms)
+    bench.back_us = 1_000_000
+    bench.run(100_000)
+    stands = bench.sleeves.place(SLEEVE, bench.now_us - bench.back_us)
+    assert stands.m == pytest.approx(bench.sleeve.x, abs=2e-4)
+    assert not stands.is_moving
+    bench.back()
+    predicted_us, true_us = bench.fire()
+    assert predicted_us == pytest.approx(true_us, abs=4e3 * CHANCE_MS)
 
 
 def test_a_contact_is_measured_of_a_sleeve_that_moves_otherwise_than_the_law_says() -> None:

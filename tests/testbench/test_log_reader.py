@@ -66,6 +66,10 @@ class Box:
     """By the ms at which each is sent."""
     without_edges: tuple[int, int] = (0, 0)
     """From and to which ms no edges come."""
+    apart_us: int = 0
+    """From one frame of the sensors to the next."""
+    begins_us: int | None = None
+    """When an engine's frame came, before all others."""
 
     def read(self, seconds: float) -> LogContent:
         """The log of so long."""
@@ -74,6 +78,8 @@ class Box:
         reader, teeth = LogReader(SHEET), SHEET.wheels
         layshaft = turning(teeth.layshaft.teeth, LAYSHAFT_RAD_S, seconds)
         main = turning(teeth.main.teeth, MAIN_RAD_S, seconds)
+        if self.begins_us is not None:
+            reader.take(BEGIN_US + self.begins_us, engine.encode(EEC1()))
         for ms in range(10, int(seconds * 1000), 10):
             at_us = BEGIN_US + 1000 * ms
             if ms in self.commands:
@@ -95,9 +101,10 @@ class Box:
                 GearboxSensors(stamp, self.brake_pa(ms), self.supply_pa(ms), 350.0,
                                self.clutch(ms)),
             ]  # fmt: skip
-            for message in messages:
-                reader.take(at_us + 100, io.encode(message))  # type: ignore[arg-type]
-            reader.take(at_us + 200, engine.encode(EEC1(engine_speed_rad_s=self.engine_rad_s(ms))))
+            for k, message in enumerate(messages):
+                reader.take(at_us + 100 + k * self.apart_us, io.encode(message))  # type: ignore[arg-type]
+            after_us = at_us + 200 + len(messages) * self.apart_us
+            reader.take(after_us, engine.encode(EEC1(engine_speed_rad_s=self.engine_rad_s(ms))))
         return reader.finish()
 
 
@@ -221,6 +228,34 @@ def test_a_firing_at_no_commanded_time_is_counted() -> None:
     content = Box(pushed(520), commands=second_on(500, ValveAction.ON_NOW)).read(1.0)
     assert content.inexact == 1
     assert Box().read(0.5).moved == set()
+
+
+@pytest.mark.parametrize("begins_us", [None, 0, 300, 5_000, 9_900])
+def test_what_is_switched_at_once_is_so_when_its_command_came_wherever_the_log_begins(
+    begins_us: int | None,
+) -> None:
+    """Within the way of the soonest frame, 0.1 ms. A log's times were up to 2.5 ms apart by where
+    between two reads it began."""
+    on = second_on(500, ValveAction.ON_NOW)
+    content = Box(pushed(520), commands=on, apart_us=400, begins_us=begins_us).read(1.0)
+    ((_, contact),) = content.contacts
+    assert contact.fired_us == pytest.approx(BEGIN_US + 490_050, abs=101)
+
+
+def test_a_pulse_within_a_step_moves_its_sleeve_as_any_other() -> None:
+    """First gear's valve is on for 9.6 ms between two reads: the stroke into second, 12 ms later,
+    is expected to come the later for it. Such a pulse was not known of."""
+    on = second_on(500)
+    first_on = ValveCommand(main_first_action=ValveAction.ON_AT,
+                            main_first_time_us=BEGIN_US + 488_200)  # fmt: skip
+    first_off = on[490]._replace(main_first_action=ValveAction.OFF_AT,
+                                 main_first_time_us=BEGIN_US + 497_800)  # fmt: skip
+    expected_us = []
+    for begun_ms, commands in ((520, on), (530, on | {480: first_on, 490: first_off})):
+        box = Box(pushed(begun_ms), commands=commands, begins_us=8_000)
+        ((_, contact),) = box.read(1.0).contacts
+        expected_us.append(contact.expected_us)
+    assert expected_us[1] > expected_us[0] + 1_000.0
 
 
 def closing_clutch(begun_ms: int, ms_taken: int) -> Trajectory:

@@ -41,6 +41,7 @@ from meshpoint.testbench.identify.valve_switches import (
 )
 from meshpoint.units import SECOND_US
 
+EDGES: Final = (EdgesLayshaftRise, EdgesLayshaftFall, EdgesMainRise, EdgesMainFall)
 STEP_US: Final = 10_000
 MOST_FREE_S: Final = 1.5
 """Of a longer run in neutral no more is kept: nothing is learned of a gearbox that coasts."""
@@ -185,8 +186,11 @@ class LogReader:
         if message is not None:
             self.content.messages[type(message).__name__] += 1
             self._inputs.take(message)
+            # As it comes: a step stamps what came before it anew, and later.
             if isinstance(message, GearboxSensors):
                 self._clock.stamp(message.sample_time_us, now_us)
+            elif isinstance(message, EDGES):
+                self._clock.stamp(message.read_time_us, now_us)
             if isinstance(message, EEC1) and message.engine_speed_rad_s is not None:
                 self._closing.engine(self._clock.now_us(now_us), message.engine_speed_rad_s)
             return
@@ -227,11 +231,12 @@ class LogReader:
         """Gives the sleeves what their valves have done, and where they are."""
         for gear in MAIN_GEARS:
             told_us = self._told_us.get(gear, 0)
-            for switch in self._valves.of(VALVE_OF_GEAR[gear], now_us):
-                if switch.time_us > told_us:
-                    self.content.inexact += switch.on and not switch.exact
-                    self._sleeves.commanded(SLEEVE_VALVE[gear], switch.on, switch.time_us)
-                    self._told_us[gear] = switch.time_us
+            switches = self._valves.of(VALVE_OF_GEAR[gear], now_us)
+            new = [switch for switch in switches if switch.time_us > told_us]
+            if new:
+                self.content.inexact += sum(one.on and not one.exact for one in new)
+                self._sleeves.expected(SLEEVE_VALVE[gear], [(one.time_us, one.on) for one in new])
+                self._told_us[gear] = new[-1].time_us
         if self._supply:
             self._sleeves.supply_pa = self._supply[-1] - self._sheet.air.atmosphere_pa
         before = dict(self._sleeves.contacts)
