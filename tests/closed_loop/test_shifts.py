@@ -232,8 +232,12 @@ def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None
 
 def test_the_controllers_phase_at_contact_is_what_it_had_planned(six_shifts: Loop) -> None:
     """Prediction error less the sleeve's chance: 3.5 sigma of its own claim. The plan weighs time
-    and miss, so it aims at the gap, not always at its middle."""
-    for outcome in aimed(six_shifts):
+    and miss, so it aims at the gap, not always at its middle. The sleeve of the preset `thesis` is
+    a delay and cannot be stopped on its way: called back it runs to neutral, whatever the law
+    says, and its next stroke begins there. How an aborted one goes on is said of the truck's."""
+    planned = [outcome for outcome in aimed(six_shifts) if outcome.aborts == 0]
+    assert len(planned) >= 3
+    for outcome in planned:
         assert abs(outcome.predicted_phase_rad) < SHEET.dog.backlash_rad / 2.0
         sigma = outcome.predicted_phase_sd_rad
         assert abs(outcome.estimated_phase_rad - outcome.predicted_phase_rad) < 3.5 * sigma
