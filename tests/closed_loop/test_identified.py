@@ -24,7 +24,8 @@ brake's torque 5 to 20 Nm."""
 
 
 def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
-    """Of 18 figures nearly all lie in their 95 % intervals, all lie near them, and what was kept
+    """Of 18 figures nearly all lie in their 95 % intervals, all lie near them (one in 17 such logs
+    has a figure 1.5 half intervals off, by chance alone), and what was kept
     out of the fit is predicted better than by the data sheet."""
     box = IdentifyRun(load_sheet("truck12"), 1, 8, Profile.TYPICAL).run()
     reported = {one.name: one for one in box.reported if one.value is not None}
@@ -36,7 +37,7 @@ def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
         half = 0.5 * (one.high - one.low)
         assert 0.0 < half < most, name
         off[name] = abs(one.truth - 0.5 * (one.high + one.low)) / half
-    assert max(off.values()) < 1.5
+    assert max(off.values()) < 2.0
     assert sum(share < 1.0 for share in off.values()) >= 16
     for name, edges, inside in box.teeth:
         assert inside >= 0.9 * edges, name
