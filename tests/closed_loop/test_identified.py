@@ -42,7 +42,6 @@ def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
     # An eccentricity that is a little off takes a stretch of a wheel's edges out together.
     for name, edges, inside in box.teeth:
         assert inside >= 0.85 * edges, name
-    assert sum(inside for _, _, inside in box.teeth) >= 0.9 * sum(n for _, n, _ in box.teeth)
     errors = {name: (own, by_sheet) for name, _, own, by_sheet in box.held_out}
     assert errors.keys() >= {
         "layshaft speed at the end of a run", "layshaft wheel: angle of an edge",
