@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import can
@@ -90,7 +91,8 @@ def truck() -> Loop:
 def test_the_sleeves_show_what_the_truth_says_of_first_contacts(
     bench: str, request: pytest.FixtureRequest
 ) -> None:
-    """But of teeth that slide off the face within two samples of the sleeve or three."""
+    """But of teeth that slide off the face within two samples of the sleeve or three, and of a gap
+    that throws the sleeve back at once."""
     loop: Loop = request.getfixturevalue(bench)
     receiver, sleeves = Receiver(*Node), SleeveContacts(loop.sheet)
     seen, events = [], []
@@ -104,6 +106,11 @@ def test_the_sleeves_show_what_the_truth_says_of_first_contacts(
         met_us for met_us, met in events for passed_us, passed in events
         if met is EngagementEvent.TOOTH_CONTACT and passed is EngagementEvent.TOOTH_PASSED
         and 0 <= passed_us - met_us < 3_000
+    }  # fmt: skip
+    at_teeth = [e for e in events if e[1] in {*FIRST_CONTACT, EngagementEvent.TOOTH_PASSED}]
+    brushed |= {
+        met_us for (met_us, met), (_, then) in pairwise(at_teeth)
+        if met is EngagementEvent.GAP_CONTACT and then is EngagementEvent.TOOTH_PASSED
     }  # fmt: skip
     truth = [(at_us, FIRST_CONTACT[event]) for at_us, event in events if event in FIRST_CONTACT]
     assert len(seen) >= loop.shifts
