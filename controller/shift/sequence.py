@@ -147,6 +147,8 @@ class ShiftSequence(ShiftContext):
         plan, self.shift.plan, self.shift.release_us = self.shift.plan, None, None
         if self.state is State.SYNCHRONISING:
             self.shift.pulses = max(0, self.shift.pulses - 1)
+        if self.state is State.DISENGAGING:
+            self.shift.pulls = max(0, self.shift.pulls - 1)
         if self.shift.blocks >= self.settings.limits.blocks:
             if row == SLIP_ROW and (self.state, Trigger.TOO_SLOW) in TRANSITIONS:
                 self.shift.blocks = 0

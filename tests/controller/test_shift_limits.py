@@ -98,6 +98,22 @@ def test_a_gear_that_stays_in_is_pulled_for_its_limit_by_pulses_that_grow(ms: in
     assert box.records[0].fault is FaultCode.DISENGAGE_FAILED
 
 
+@pytest.mark.parametrize("blocks", [0, 1, 2])
+def test_a_pull_that_the_guard_blocks_makes_the_next_one_no_longer(blocks: int) -> None:
+    """The sleeve has not been pulled yet: a longer pulse would throw it through neutral."""
+    box = Box(*UP[:2], phase_rad=0.01).ready()
+    box.ask(UP[2])
+    box.until(State.DISENGAGING)
+    for _ in range(blocks):
+        box.sequence.blocked(10, box.snapshot())
+        while not box.board.command(ValveName.MAIN_SECOND).on:
+            box.step()
+    pull = box.board.command(ValveName.MAIN_SECOND)
+    assert pull.until_us - pull.time_us < 30_000
+    box.until(State.IN_GEAR)
+    assert box.records[0].result is ShiftResult.ENGAGED
+
+
 @pytest.mark.parametrize("ms", [300, 700])
 def test_a_sleeve_that_does_not_reach_its_gear_is_taken_back_after_its_limit(ms: int) -> None:
     box = Box(*OTHER_SLEEVE[:2], limits(engage_ms=ms, attempts=1), phase_rad=0.01).ready()
