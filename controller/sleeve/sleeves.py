@@ -46,6 +46,8 @@ SUPPLY_STEP_PA: Final = 1e3
 """A stroke from rest is worked out anew for another place or supply pressure of this size."""
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
+SETTLED_MOVEMENTS: Final = 3
+"""After so many a sleeve is pulled by its learned law alone."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -297,6 +299,11 @@ class Sleeves:
 
     def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, longest_us: int) -> Pulse:
         tracked = self._sleeves[sleeve]
+        if tracked.movements < SETTLED_MOVEMENTS and not self.place(sleeve, on_us).is_moving:
+            # Teeth under torque hold a sleeve as heavy friction does: a law that has seen little
+            # takes the one for the other, and would push it too long.
+            unlearned = tracked.unlearned(self.place(sleeve, on_us).m)
+            longest_us = pulse_to_neutral_us(unlearned, direction, 0, longest_us)
         long_us = pulse_to_neutral_us(tracked, direction, on_us, longest_us)
         rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
