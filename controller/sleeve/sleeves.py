@@ -35,7 +35,7 @@ from meshpoint.controller.sleeve.to_rest import (
     pulse_to_neutral_us,
     rests_at_m,
 )
-from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
+from meshpoint.controller.sleeve.tracked import STANDS_US, Contact, TrackedSleeve
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
@@ -277,6 +277,8 @@ class Sleeves:
         direction = 1 if rests_m < 0.0 else -1
         place = self.place(sleeve, at_us)
         if abs(rests_m) < NEAR_NEUTRAL_M or direction * place.speed_m_s > 0.0:
+            return None
+        if not place.is_moving and at_us - self._sleeves[sleeve].last_switch_us < STANDS_US:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
         longest_us = LONGEST_PULSE_US if place.is_moving else LONGEST_PULL_US

@@ -172,12 +172,16 @@ class TrackedSleeve(DrivenSleeve):
         self.movement = Movement()
         self._rests = self.is_free = True
 
+    @property
+    def last_switch_us(self) -> int:
+        """When a valve of it last switches, as far as commanded."""
+        return max((one.time_us for one in self.switches), default=self._switched_us)
+
     def _is_over(self, track: SleeveTrack) -> bool:
-        last_us = max((one.time_us for one in self.switches), default=self._switched_us)
         driven = any(self.driven(valve, track.newest_us) for valve in (0, 1))
         newest = track.samples_m[:REST_SAMPLES]
         still = max(newest) - min(newest) < STILL_M
-        return not driven and still and track.newest_us - last_us > STANDS_US
+        return not driven and still and track.newest_us - self.last_switch_us > STANDS_US
 
     def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""
@@ -346,7 +350,7 @@ class TrackedSleeve(DrivenSleeve):
         is_on_tooth = all(abs(place_m - self.law.face_m) < SHORT_M for place_m in newest)
         stop_m = abs(float(state[0])) if is_on_tooth else FOREVER
         self.start = Start(at_us, state, False, stop_m)
-        self._switched_us = max((one.time_us for one in self.switches), default=self._switched_us)
+        self._switched_us = self.last_switch_us
         self._keep(lambda one: self.spool_us(one) > at_us)
 
     def _see_stop(self, reading_m: float, direction: int) -> None:
