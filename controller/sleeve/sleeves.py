@@ -46,8 +46,6 @@ SUPPLY_STEP_PA: Final = 1e3
 """A stroke from rest is worked out anew for another place or supply pressure of this size."""
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
-SETTLED_MOVEMENTS: Final = 3
-"""After so many a sleeve is pulled by its learned law alone."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -95,6 +93,10 @@ class Sleeves:
         """The newest contact with each gear."""
         self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
+        unlearned = self._sleeves[MAIN_SLEEVES[0]].at_rest(-self._law.stroke_m)
+        self._push_us = pulse_to_neutral_us(unlearned, 1, 0)
+        """A sleeve that stands short of neutral is pushed for no longer than one that nothing is
+        known of is pulled out of its gear."""
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
         """A main valve's coil switches then (known in advance, or since); this replaces what was
@@ -280,8 +282,10 @@ class Sleeves:
             return None
         if not place.is_moving and at_us - self._sleeves[sleeve].last_switch_us < STANDS_US:
             return None
-        # A longer pulse does not brake any more: it would set the sleeve going the other way.
-        longest_us = LONGEST_PULSE_US if place.is_moving else LONGEST_PULL_US
+        # A longer pulse does not brake any more: it would set the sleeve going the other way. And
+        # teeth under torque hold a sleeve as heavy friction does: a law that has seen little takes
+        # the one for the other, and would push a sleeve too long that stands half out of its gear.
+        longest_us = LONGEST_PULSE_US if place.is_moving else self._push_us
         return self._pulse(sleeve, at_us, direction, longest_us)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
@@ -301,11 +305,6 @@ class Sleeves:
 
     def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, longest_us: int) -> Pulse:
         tracked = self._sleeves[sleeve]
-        if tracked.movements < SETTLED_MOVEMENTS and not self.place(sleeve, on_us).is_moving:
-            # Teeth under torque hold a sleeve as heavy friction does: a law that has seen little
-            # takes the one for the other, and would push it too long.
-            unlearned = tracked.unlearned(self.place(sleeve, on_us).m)
-            longest_us = pulse_to_neutral_us(unlearned, direction, 0, longest_us)
         long_us = pulse_to_neutral_us(tracked, direction, on_us, longest_us)
         rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)

@@ -106,13 +106,6 @@ class TrackedSleeve(DrivenSleeve):
         """Where the sleeve is that the sensor shows there."""
         return _place_m(self.learned, reading_m)
 
-    def unlearned(self, x_m: float) -> DrivenSleeve:
-        """One of the same data sheet, at rest there."""
-        other = DrivenSleeve(self.law, self._sheet)
-        other.start = Start(0, self.law.at_rest(x_m), True)
-        other.switch_sd_s, other.supply_pa = self.switch_sd_s, self.supply_pa
-        return other
-
     def take(self, track: SleeveTrack) -> None:
         """The newest samples."""
         count = len(track.samples_m)
