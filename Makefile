@@ -57,18 +57,23 @@ installed: $(VENV)/test.stamp
 acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
 
-# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose.
+# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose. An emulated
+# processor is another one, and would compile for an hour: the kernels are compiled here, for any of
+# the kind.
+FOR_ANY := NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/kernels
 # The limit is the last resort against a hang: what is waited for in there is bus time.
 vcan: $(VENV)/test.stamp
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
-	NUMBA_DISABLE_JIT=1 tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
+	$(FOR_ANY) $(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(FOR_ANY) tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
 	    tests/vcan -v --durations=0
 
 # The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
 controllers: $(VENV)/test.stamp
 	{ tools/with-vcan --controllers --check && command -v candump; } || \
 	    tools/with-vcan --controllers --install
-	NUMBA_DISABLE_JIT=1 tools/with-vcan --controllers --timeout 5400 \
+	$(FOR_ANY) $(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(FOR_ANY) tools/with-vcan --controllers --timeout 5400 \
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 
 # with-vcan as other projects have it, and python-can's own SocketCAN tests in it.

@@ -311,10 +311,9 @@ class Bench:
         self._time = PaceFile(pace)
         self.dump = Candump(folder / "candump.log", wire, self.patience, self.story)
         common = ["--gearbox", "thesis", "--pace", str(pace), "--speed", str(SPEED)]
-        # kernels are not compiled in the emulated machine: the truck's take it too long there
         gear = ["--preset", "thesis", "--gear", "14", "--main-speed", "300"]
         self.rig = Command(folder, "rig", *gear, *common, *wire.options(wire.rig))
-        # nor are the controller's: there the bus is under test, with what is cheapest to compute
+        # an emulated processor computes what is cheapest: the bus is under test here
         cheap = ["--estimator", "thesis", "--strategy", "speed_window"] if EMULATED else []
         headers = ["--header-dir", str(folder)]
         arguments = [*headers, *cheap, *common, *wire.options(wire.controller)]

@@ -72,9 +72,9 @@ class _Side:
             share = (level_m - before[0]) / (way_m - before[0])
             self._passed_us.append(before[1] + share * span_us(time_us, before[1]))
             if len(self._passed_us) == len(self._levels_m):
-                a_us, b_us, c_us = self._passed_us
-                is_tooth = c_us - b_us > SLOWER * (b_us - a_us)
-                return SeenContact(round(b_us), self.gear, "tooth" if is_tooth else "gap")
+                a_us, b_us, c_us = map(round, self._passed_us)
+                is_tooth = span_us(c_us, b_us) > SLOWER * span_us(b_us, a_us)
+                return SeenContact(b_us, self.gear, "tooth" if is_tooth else "gap")
             level_m = self._levels_m[len(self._passed_us)]
         return None
 
