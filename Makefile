@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference figures contracts locks stubs bench clean
+.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance kernels-for-any vcan vcan-alone controllers test-containers lint types reference figures contracts locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -57,22 +57,23 @@ installed: $(VENV)/test.stamp
 acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
 
-# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose. An emulated
-# processor is another one, and would compile for an hour: the kernels are compiled here, for any of
-# the kind.
+# Kernels for any processor of the kind: an emulated one is another than this, and would compile for
+# an hour.
 FOR_ANY := NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/kernels
-# The limit is the last resort against a hang: what is waited for in there is bus time.
-vcan: $(VENV)/test.stamp
-	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
+kernels-for-any: $(VENV)/test.stamp
 	$(FOR_ANY) $(BIN)/python -m meshpoint.testbench.loop.compiling
+
+# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose.
+# The limit is the last resort against a hang: what is waited for in there is bus time.
+vcan: kernels-for-any
+	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
 	$(FOR_ANY) tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
 	    tests/vcan -v --durations=0
 
 # The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
-controllers: $(VENV)/test.stamp
+controllers: kernels-for-any
 	{ tools/with-vcan --controllers --check && command -v candump; } || \
 	    tools/with-vcan --controllers --install
-	$(FOR_ANY) $(BIN)/python -m meshpoint.testbench.loop.compiling
 	$(FOR_ANY) tools/with-vcan --controllers --timeout 5400 \
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 

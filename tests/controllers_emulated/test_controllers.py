@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from devices import CTU, KVASER, SerialAdapter, hurry, queue_counts, slow
 from patience import until
-from vcan_bench import MEASUREMENT_S, SPEED, Bench, Command, Wire, ip, meshpoint
+from vcan_bench import LOOK_S, SPEED, Bench, Command, Wire, ip, meshpoint
 
 from meshpoint.testbench.table import build_parser
 
@@ -111,7 +111,7 @@ def test_a_controllers_link_that_goes_down_and_comes_up_is_found_again(bench: Be
             f"{text!r}, from the controller",
             patience=bench.patience(),
             say=bench.story,
-            poll_s=MEASUREMENT_S,
+            poll_s=LOOK_S,
         )
 
     ip("set", "can2", "down")
@@ -152,7 +152,7 @@ def test_a_transmit_queue_of_ten_that_is_full_loses_nothing_untold(bench: Bench)
         "a queue that is full",
         patience=bench.patience(),
         say=lambda: f"{queue_counts('can2')}{bench.story()}",
-        poll_s=MEASUREMENT_S,
+        poll_s=LOOK_S,
     )
     hurry("can2")
     bench.dump.mark()
