@@ -71,17 +71,11 @@ class _Side:
 
     def rest(self) -> SeenContact | None:
         """The sleeve is back in neutral; one that had come to the gear did not get in."""
-<<<<<<< HEAD
         passed, farthest_m, stopped = self._passed_us, self._farthest_m, self._stopped
         self._passed_us, self._farthest_m, self._stopped = [], 0.0, False
         self._before = self._since = None
         if len(passed) == 2 and farthest_m >= self._met_m and not stopped:
-            return SeenContact(round(passed[1]), self.gear, "tooth")
-=======
-        passed, self._passed_us, self._before = self._passed_us, [], None
-        if len(passed) == 2:
             return SeenContact(passed[1], self.gear, "tooth")
->>>>>>> main
         return None
 
     def take(self, way_m: float, time_us: int) -> SeenContact | None:
@@ -97,11 +91,7 @@ class _Side:
             passed_us = round(before[1] + share * span_us(time_us, before[1]))
             self._passed_us.append(passed_us & 0xFFFF_FFFF)
             if len(self._passed_us) == len(self._levels_m):
-<<<<<<< HEAD
-                a_us, b_us, c_us = map(round, self._passed_us)
-=======
                 a_us, b_us, c_us = self._passed_us
->>>>>>> main
                 is_tooth = span_us(c_us, b_us) > SLOWER * span_us(b_us, a_us)
                 return SeenContact(b_us, self.gear, "tooth" if is_tooth else "gap")
             level_m = self._levels_m[len(self._passed_us)]
