@@ -46,6 +46,9 @@ CLUTCH_AHEAD_US: Final = 60_000
 COUNTER_US: Final = 20_000
 """A valve that is on within so long after the other one of its sleeve brakes what that has set
 going: its chamber still pushes."""
+LONGER_US: Final = 4_000
+"""By so much longer than before a gear may be pulled each time: less than lies between a pulse that
+brings a sleeve to neutral and one that throws it through."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 
@@ -124,6 +127,8 @@ class GuardState:
     """How each main valve was driven since its sleeve was last seen to stand."""
     stood_m: dict[int, float] = field(default_factory=dict)
     """Where a main sleeve stood as its driven valve set it going, positive toward its gear."""
+    withstood_us: dict[int, int] = field(default_factory=dict)
+    """The longest pull by each main valve that did not take its sleeve beyond neutral."""
     before_teeth_us: dict[int, int] = field(default_factory=dict)
     """Since when a main sleeve stands between neutral and a gear's teeth."""
     proofs: int = 0
@@ -151,15 +156,16 @@ class Case(NamedTuple):
     def engaging(self) -> list[tuple[int, Span]]:
         """Main valves whose sleeve may come to the teeth of a gear that it has not entered yet.
 
-        One that pulls a gear out counts only once its sleeve is past neutral, a pulse that brakes a
-        sleeve or brings it back to neutral only where it is not proven to stop short."""
+        One that pulls a gear out counts only once its sleeve is past neutral, or where it pulls for
+        so long that the sleeve may run through; a pulse that brakes a sleeve or brings it back to
+        neutral only where it is not proven to stop short."""
         found = []
         for valve in MAIN_VALVES:
             span, way_m = self.spans[valve], self.way_m(valve)
             if span is None or way_m > self.limits.contact_m:
                 continue
             if self._pulls(valve):
-                if way_m >= GUARD_NEUTRAL_M:
+                if way_m >= GUARD_NEUTRAL_M or self._runs_through(valve, span):
                     found.append((valve, span))
             elif not self._stops_short(valve, span):
                 found.append((valve, span))
@@ -182,6 +188,14 @@ class Case(NamedTuple):
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
         comes_back = end_us - self._since_us(valve, span) <= longest_pulse_us(self.limits, way_m)
         return comes_back or end_us - span.start_us <= brakes_us
+
+    def _runs_through(self, valve: int, span: Span) -> bool:
+        """Whether this valve pulls a gear out for longer than the sheet's fastest sleeve takes to
+        come before the other gear's teeth, and than this one has withstood."""
+        end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
+        by_sheet_us = longest_pulse_us(self.limits, self.set_off_m(valve, span))
+        withstood_us = self.state.withstood_us.get(valve, 0) + LONGER_US
+        return end_us - span.start_us > max(by_sheet_us, withstood_us)
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

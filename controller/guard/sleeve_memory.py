@@ -25,7 +25,11 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
         )
         if is_shut and abs(seen.means_m_s[sleeve]) < LEAVING_M_S:
             for valve in mine:
-                state.drives.pop(valve, None)
+                drive = state.drives.pop(valve, None)
+                way_m = seen.positions_m[sleeve] * limits.main[valve].direction
+                if drive is not None and drive.pulls and way_m <= GUARD_NEUTRAL_M:
+                    longest_us = max(drive.driven_us, state.withstood_us.get(valve, 0))
+                    state.withstood_us[valve] = longest_us
         if not GUARD_NEUTRAL_M < abs(seen.positions_m[sleeve]) <= limits.contact_m:
             state.before_teeth_us.pop(sleeve, None)
         elif not any(state.spans[valve] for valve in mine):

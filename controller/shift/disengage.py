@@ -24,11 +24,8 @@ PULL_PAUSE_US: Final = 60 * MS_IN_US
 """The valve is off for this long between two attempts: torque on the teeth may reverse
 meanwhile."""
 
-LONGER_SHARE: Final = 0.5
-"""A gear that has not come out is pulled for so much longer each time."""
-
-LEAST_DELAYS: Final = 1.5
-"""Each pull but the first lasts longer than its valve's delay by so much."""
+LONGER_US: Final = 4 * MS_IN_US
+"""A gear that has not come out is pulled for so much longer each time: the guard allows no more."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
@@ -79,29 +76,18 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 
 def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> None:
     """Sends the pulse that pulls this gear out as the plates part. A time that can still be moved
-    follows the clutch, and a clutch that stops or comes back takes the command back. The end of the
-    pulse follows the sleeve: torque on the teeth may hold it for a while."""
+    follows the clutch, and a clutch that stops or comes back takes the command back."""
     valve = OPPOSITE[gear]
     unloaded_us = context.unloaded_us(snapshot, valve)
     shift, now_us, command = context.running, snapshot.now_us, context.board.command(valve)
     if unloaded_us is None:
         context.board.off(valve)
-    elif command.on and command.time_us <= snapshot.earliest_us < command.until_us:
-        held_us = now_us - command.time_us
-        if held_us > context.settings.limits.disengage_ms * MS_IN_US:
-            context.board.off(valve)
-            shift.pull_again_us = now_us + PULL_PAUSE_US
-            return
-        off_us = max(context.sleeves.pull_out(gear, command.time_us).off_us, command.until_us)
-        context.board.pulse(valve, command.time_us, off_us, now_us)
-        shift.pull_again_us = off_us + PULL_PAUSE_US
-    elif (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
+        return
+    if command.on and command.time_us <= snapshot.earliest_us < command.until_us:
+        return  # under way
+    if (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
         pulse = context.sleeves.pull_out(gear, unloaded_us)
-        longer, lasts_us = 1.0 + LONGER_SHARE * (shift.pulls - 1), pulse.off_us - pulse.on_us
-        if shift.pulls > 1:
-            # Whatever the law says of a sleeve that has not moved.
-            lasts_us = max(lasts_us, round(LEAST_DELAYS * context.sheet.sleeve.valve_delay_s * 1e6))
-        off_us = pulse.on_us + round(longer * lasts_us)
+        off_us = pulse.off_us + LONGER_US * max(0, shift.pulls - 1)
         context.board.pulse(valve, pulse.on_us, off_us, now_us)
         shift.pull_again_us = off_us + PULL_PAUSE_US
 
@@ -125,6 +111,8 @@ def _may_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     since."""
     if not _rests_after_pull(context, snapshot):
         return False
-    context.running.pulls += 1
+    gear = snapshot.view.main_gear
+    if gear is None or not context.sleeves.is_tried(gear):
+        context.running.pulls += 1
     context.references.released()
     return True

@@ -29,7 +29,6 @@ from meshpoint.controller.sleeve.stopping import (
 )
 from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
 from meshpoint.controller.sleeve.to_rest import (
-    LONGEST_PULL_US,
     NEAR_NEUTRAL_M,
     pulse_of,
     pulse_to_neutral_us,
@@ -46,6 +45,16 @@ SUPPLY_STEP_PA: Final = 1e3
 """A stroke from rest is worked out anew for another place or supply pressure of this size."""
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
+TRIED_M: Final = 3e-3
+TRY_STEP_US: Final = 2_000
+MOST_TRIES: Final = 8
+"""A sleeve of which nothing is known is first moved so far, by pulses that grow by so much, until
+one teaches its law: one that is longer than it should be throws it through neutral."""
+LONGER_US: Final = 4_000
+FIRST_SHARE: Final = 0.7
+"""For the same reason a pulse is longer by no more than this than the last one that moved the
+sleeve towards neutral, whatever the law learned from it: something else may have held it, too. The
+first one of a run is no longer than this share of what a sleeve by the data sheet takes."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -282,11 +291,11 @@ class Sleeves:
             return None
         if not place.is_moving and at_us - self._sleeves[sleeve].last_switch_us < STANDS_US:
             return None
-        # A longer pulse does not brake any more: it would set the sleeve going the other way. And
-        # teeth under torque hold a sleeve as heavy friction does: a law that has seen little takes
-        # the one for the other, and would push a sleeve too long that stands half out of its gear.
-        longest_us = LONGEST_PULSE_US if place.is_moving else self._push_us
-        return self._pulse(sleeve, at_us, direction, longest_us)
+        # A longer pulse does not brake any more: it would set the sleeve going the other way.
+        if place.is_moving:
+            return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
+        most_us = min(self._push_us, self._withstands_us(sleeve, at_us, direction))
+        return self._pulse(sleeve, at_us, direction, most_us)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and
@@ -299,13 +308,31 @@ class Sleeves:
         return moves_us, self._valve_us + self._least_out_us
 
     def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
-        """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral."""
+        """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral; a
+        shorter one, where that may throw it through."""
         side = _SIDES[gear]
-        return self._pulse(side.sleeve, on_us, -side.direction, LONGEST_PULL_US)
+        most_us = self._withstands_us(side.sleeve, on_us, -side.direction)
+        return self._pulse(side.sleeve, on_us, -side.direction, most_us)
 
-    def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, longest_us: int) -> Pulse:
+    def is_tried(self, gear: MainGear) -> bool:
+        """Whether nothing is known yet of the sleeve of this gear: it is pulled by pulses that may
+        leave it in."""
+        tracked = self._sleeves[_SIDES[gear].sleeve]
+        return tracked.movements == 0 and tracked.tried < MOST_TRIES
+
+    def _withstands_us(self, sleeve: Sleeve, on_us: int, direction: int) -> int:
+        """For so long a sleeve may be pushed towards neutral without being thrown through."""
         tracked = self._sleeves[sleeve]
-        long_us = pulse_to_neutral_us(tracked, direction, on_us, longest_us)
+        if tracked.movements == 0 and tracked.tried < MOST_TRIES:
+            short_m = max(0.0, abs(tracked.place_of(tracked.rest_m)) - TRIED_M)
+            first_us = pulse_to_neutral_us(tracked, direction, on_us, short_m)
+            return first_us + tracked.tried * TRY_STEP_US
+        before_us = tracked.moved_by_us.get(direction, 0) + LONGER_US
+        return max(round(FIRST_SHARE * self._push_us), before_us)
+
+    def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, most_us: int) -> Pulse:
+        tracked = self._sleeves[sleeve]
+        long_us = min(most_us, pulse_to_neutral_us(tracked, direction, on_us))
         rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
 

@@ -27,19 +27,19 @@ def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch
 
 
 def pulse_to_neutral_us(
-    sleeve: DrivenSleeve, direction: int, on_us: int, longest_us: int = LONGEST_PULL_US
+    sleeve: DrivenSleeve, direction: int, on_us: int, short_m: float = 0.0
 ) -> int:
-    """How long the valve that pushes there has to be on.
+    """How long the valve that pushes there has to be on; or for a place so far before neutral.
 
     Between the shortest pulse that gets there and the longest that does not go beyond, in the
     middle: the detent makes good for what the law does not know."""
     ends_us = []
     for level_m in (-NEAR_NEUTRAL_M, NEAR_NEUTRAL_M):
-        short_us, long_us = 0, longest_us
+        short_us, long_us = 0, LONGEST_PULL_US
         while long_us - short_us > PULL_STEP_US:
             middle_us = (short_us + long_us) // 2
             m = rests_at_m(sleeve, on_us, pulse_of(direction, on_us, middle_us))
-            is_beyond = direction * m > level_m
+            is_beyond = direction * m > level_m - short_m
             short_us, long_us = (short_us, middle_us) if is_beyond else (middle_us, long_us)
         ends_us.append(short_us)
     return sum(ends_us) // 2

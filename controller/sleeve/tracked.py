@@ -78,6 +78,10 @@ class TrackedSleeve(DrivenSleeve):
         self._sheet = prior
         self.movements = 0
         """From how many movements the law was learned."""
+        self.tried = 0
+        """Nothing was learned from so many movements in a row."""
+        self.moved_by_us: dict[int, int] = {}
+        """By direction: how long the last pulse was that moved it towards neutral."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
@@ -178,13 +182,25 @@ class TrackedSleeve(DrivenSleeve):
 
     def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""
+        known = self.movements
+        self._see_pulse()
         if self.is_free:
             self._learn()
+        self.tried = 0 if self.movements > known else self.tried + 1
         self._keep(lambda one: one.time_us > track.newest_us)
         place_m = self.place_of(track.samples_m[0])
         if abs(place_m) > self.law.stroke_m - 1e-3:
             self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
         self._rest(track)
+
+    def _see_pulse(self) -> None:
+        """By how long a pulse it was moved towards neutral."""
+        from_m = float(self.start.state[0])
+        direction = -1 if from_m > 0.0 else 1
+        own = [one for one in self.switches if one.valve == valve_towards(direction)]
+        way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
+        if len(own) > 1 and own[0].on and way_m > LEAST_WAY_M and abs(from_m) > LEAST_WAY_M:
+            self.moved_by_us[direction] = own[1].time_us - own[0].time_us
 
     def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
