@@ -243,14 +243,15 @@ class SleeveLawRecord:
     dead_volume: float = quantity("dead_volume", 0.01, 1000.0)
     vent: float = quantity("vent", 0.01, 100.0)
     detent_n: float = quantity("detent_n", -10000.0, 10000.0)
-    """Less than 0: there is none."""
+    """Of the detent in neutral. Less than 0: there is none."""
+    in_gear_n: float = quantity("detent_in_gear_n", -10000.0, 10000.0)
     offset_m: float = quantity("sensor_offset_mm", -10.0, 10.0, MM)
     gain: float = quantity("sensor_gain", 0.5, 2.0)
     root: tuple[float, ...] = quantities("root_of_covariance", -100.0, 100.0)
     """Cholesky's factor of the errors' covariance, row by row: of delays in s, logarithms, kN, mm
     and again a logarithm, in the order above."""
 
-    UNKNOWNS = 13
+    UNKNOWNS = 14
 
     def __post_init__(self) -> None:
         for key, allowed in (

@@ -1,6 +1,7 @@
 """A main sleeve between its two chambers: one kernel that carries it on from any state.
 
-    m dv/dt = (p+ - p-) A - F_c sgn(v) - B v - F_d sin(pi x / w) |x| < w
+    m dv/dt = (p+ - p-) A - F_c sgn(v) - B v - F(x)
+    F(x)  = F_d sin(pi x / w), |x| < w;    - F_e sgn(x) sin(pi (L - |x|) / w), |x| > L - w
     dp/dt   = n (R T rho0 q - p dV/dt) / V,        V = V0 + A (L +- x)
 
 x is the sleeve's place from neutral, p+ the pressure that pushes it towards +x. q is the flow
@@ -36,12 +37,13 @@ EDGE: Final = math.sqrt(1.0 - ((LAMINAR - CRITICAL) / (1.0 - CRITICAL)) ** 2) / 
 
 ON, OFF, FEED = 0, 2, 4
 """Each of two: of the valve that pushes towards +x, and of the other."""
-FRICTION, DAMPING, DEAD, VENT, DETENT, OFFSET, GAIN, LEFT = range(6, 14)
-PARAMETERS: Final = 14
+FRICTION, DAMPING, DEAD, VENT, DETENT, IN_GEAR, OFFSET, GAIN, LEFT = range(6, 15)
+PARAMETERS: Final = 15
 """What is learned of a sleeve: two on delays and two off delays (s), two logarithms of how fast a
-chamber fills, those of friction, damping, dead volume and vent share; the detent's force (kN); the
-position sensor's offset (mm) and the logarithm of its gain; and of one movement alone, the
-logarithm of the pressures left in the chambers as it begins over those that the law expects."""
+chamber fills, those of friction, damping, dead volume and vent share; the force of the detent in
+neutral and of those in gear (kN); the position sensor's offset (mm) and the logarithm of its gain;
+and of one movement alone, the logarithm of the pressures left in the chambers as it begins over
+those that the law expects."""
 DETENT_UNIT_N: Final = 1e3
 
 TO_TIME, TO_LEVEL, TO_TURN, TO_REST = 0, 1, 2, 3
@@ -69,6 +71,8 @@ class Law:
     stop_m: float
     """How far the sleeve gets to either side: its stroke, or a tooth that it rests on."""
     detent_n: float
+    in_gear_n: float
+    """Of the detents that hold it in its gears."""
 
 
 class State:
@@ -125,6 +129,17 @@ def _flow(on: float, feed: float, vent: float, supply_pa: float, air_pa: float, 
 
 
 @inlined
+def _detent_n(law: Law, place: float) -> float:
+    """What the detents push with, towards -x."""
+    width, left = law.detent_m, law.stroke_m - abs(place)
+    if abs(place) < width:
+        return law.detent_n * math.sin(math.pi * place / width)
+    if left < width:
+        return -math.copysign(law.in_gear_n, place) * math.sin(math.pi * left / width)
+    return 0.0
+
+
+@inlined
 def move(  # noqa: C901
     law_at: Vector,
     x: Vector,
@@ -147,7 +162,6 @@ def move(  # noqa: C901
     feed0, feed1, vent = law.feed[0], law.feed[1], law.vent
     supply, air = law.supply_pa, law.atmosphere_pa
     mass, friction, damping = law.mass_kg, law.friction_n, law.damping_nsm
-    detent, width = law.detent_n, law.detent_m
     static = STATIC_SHARE * friction
     place, speed = state.x_m, state.speed_m_s
     p0, p1 = state.pressure_pa[0], state.pressure_pa[1]
@@ -161,9 +175,7 @@ def move(  # noqa: C901
     while k < seen.shape[0] and first_s + 1e-3 * k <= 0.0:
         seen[k] = place
         k += 1
-    pull = (p0 - p1) * area
-    if abs(place) < width:
-        pull -= detent * math.sin(math.pi * place / width)
+    pull = (p0 - p1) * area - _detent_n(law, place)
     while t < until_s:
         while j < count and switches[j, 0] <= t + 1e-12:
             if switches[j, 1] == 0.0:
@@ -183,11 +195,8 @@ def move(  # noqa: C901
         flow1 = _flow(on1, feed1, vent, supply, air, p1)
         grown0 = (DRIVEN * flow0 - POLYTROPIC * p0 * area * speed) / volume0
         grown1 = (DRIVEN * flow1 + POLYTROPIC * p1 * area * speed) / volume1
-        held = 0.0
-        if abs(place) < width:
-            held = detent * math.sin(math.pi * place / width)
         before = pull
-        pull = (p0 + h * grown0 - p1 - h * grown1) * area - held
+        pull = (p0 + h * grown0 - p1 - h * grown1) * area - _detent_n(law, place)
         moved = 0.0
         if speed == 0.0:
             if abs(pull) > static:
@@ -283,6 +292,7 @@ def carry(
         law.dead_m3 = sheet.dead_m3 * math.exp(known[DEAD])
         law.vent = sheet.vent * math.exp(known[VENT])
         law.detent_n = max(known[DETENT], 0.0) * DETENT_UNIT_N
+        law.in_gear_n = max(known[IN_GEAR], 0.0) * DETENT_UNIT_N
         # A stroke's time goes with the rate at which a chamber fills: a larger chamber has a valve
         # that lets through as much more.
         larger = (law.dead_m3 + law.area_m2 * law.stroke_m) / sheet_m3

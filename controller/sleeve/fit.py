@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.records import Vector
-from meshpoint.controller.sleeve.cylinder import DETENT, FEED, OFFSET, PARAMETERS
+from meshpoint.controller.sleeve.cylinder import DETENT, FEED, IN_GEAR, OFFSET, PARAMETERS
 from meshpoint.controller.sleeve.law import Prior
 
 SAMPLE_SD_M: Final = 8e-5
@@ -36,10 +36,11 @@ class Fitted(NamedTuple):
 
 
 def probes(count: int) -> Vector:
-    """Steps for the slopes: of delays (s), logarithms, detent (kN), offset (mm)."""
+    """Steps for the slopes: of delays (s), logarithms, detents (kN), offset (mm)."""
     steps = np.full(count, 0.02)
     steps[:FEED] = 2e-4
-    steps[DETENT], steps[OFFSET] = 0.01, 0.05
+    steps[DETENT] = steps[IN_GEAR] = 0.01
+    steps[OFFSET] = 0.05
     steps[PARAMETERS:] = 2e-4
     return steps
 

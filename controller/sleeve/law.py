@@ -20,6 +20,7 @@ from meshpoint.controller.sleeve.cylinder import (
     FOREVER,
     FRICTION,
     GAIN,
+    IN_GEAR,
     LAW,
     LEFT,
     OFFSET,
@@ -41,6 +42,9 @@ GAIN_SD: Final = 0.007
 LEFT_SD: Final = 0.08
 OWN_FEED_SD: Final = 0.10
 """By how much two valves of a sleeve differ in their conductance."""
+NEAR_STOP_M: Final = 1e-3
+IN_GEAR_SHARE: Final = 0.5
+"""Force of the detents in gear over that of the one in neutral, of which alone the sheet tells."""
 LEAST_CONDUCTANCE: Final = 1e-10
 MOST_CONDUCTANCE: Final = 1e-6
 SLOPE_STEP: Final = 0.05
@@ -62,6 +66,8 @@ class SleeveLaw:
         sleeve, air = sheet.sleeve, sheet.air
         self.face_m = sleeve.to_contact_m
         self.stroke_m = sleeve.stroke_m
+        self.in_gear_m = sleeve.stroke_m - NEAR_STOP_M
+        """A sleeve this far from neutral is in its gear."""
         self.atmosphere_pa = air.atmosphere_pa
         self.sheet_pa = air.supply_gauge_pa
         """Gauge."""
@@ -81,6 +87,7 @@ class SleeveLaw:
                 sleeve.vent_share,
                 sleeve.stroke_m,
                 sleeve.detent_n,
+                IN_GEAR_SHARE * sleeve.detent_n,
             ]
         )
         """The record `cylinder.Law`."""
@@ -97,6 +104,7 @@ class SleeveLaw:
         mean = np.zeros(PARAMETERS)
         mean[ON:FEED] = sleeve.valve_delay_s
         mean[DETENT] = sleeve.detent_n / DETENT_UNIT_N
+        mean[IN_GEAR] = IN_GEAR_SHARE * mean[DETENT]
         sd = np.zeros(PARAMETERS)
         sd[ON:FEED] = sleeve.valve_delay_tolerance_s
         sd[FRICTION : VENT + 1] = (
@@ -105,7 +113,7 @@ class SleeveLaw:
             sleeve.dead_tolerance,
             sleeve.vent_tolerance,
         )
-        sd[DETENT] = sleeve.detent_tolerance_n / DETENT_UNIT_N
+        sd[DETENT] = sd[IN_GEAR] = sleeve.detent_tolerance_n / DETENT_UNIT_N
         sd[OFFSET], sd[GAIN], sd[LEFT] = OFFSET_SD, GAIN_SD, LEFT_SD
         slope = self._slope(mean)
         own = max(sleeve.delay_limit_s - sleeve.valve_delay_tolerance_s, 1e-4) / 2.0

@@ -13,6 +13,7 @@ from meshpoint.controller.sleeve.cylinder import (
     FEED,
     FRICTION,
     GAIN,
+    IN_GEAR,
     LEFT,
     OFF,
     OFFSET,
@@ -42,6 +43,7 @@ def law_record(known: Prior, movements: int) -> SleeveLawRecord:
         dead_volume=float(factor[DEAD]),
         vent=float(factor[VENT]),
         detent_n=float(mean[DETENT]) * DETENT_UNIT_N,
+        in_gear_n=float(mean[IN_GEAR]) * DETENT_UNIT_N,
         offset_m=float(mean[OFFSET]) * OFFSET_UNIT_M,
         gain=float(factor[GAIN]),
         root=tuple(root[np.tril_indices(len(KEPT))].tolist()),
@@ -54,7 +56,7 @@ def known_from(record: SleeveLawRecord) -> Prior:
     mean[ON : ON + 2], mean[OFF : OFF + 2] = record.on_delay_s, record.off_delay_s
     factors = (record.friction, record.damping, record.dead_volume, record.vent)
     mean[FEED : FEED + 2], mean[FRICTION : VENT + 1] = np.log(record.filling), np.log(factors)
-    mean[DETENT] = record.detent_n / DETENT_UNIT_N
+    mean[DETENT], mean[IN_GEAR] = record.detent_n / DETENT_UNIT_N, record.in_gear_n / DETENT_UNIT_N
     mean[OFFSET], mean[GAIN] = record.offset_m / OFFSET_UNIT_M, np.log(record.gain)
     root = np.zeros((len(KEPT), len(KEPT)))
     root[np.tril_indices(len(KEPT))] = record.root

@@ -34,7 +34,7 @@ from meshpoint.controller.sleeve.to_rest import (
     pulse_to_neutral_us,
     rests_at_m,
 )
-from meshpoint.controller.sleeve.tracked import STANDS_US, Contact, TrackedSleeve
+from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
@@ -45,16 +45,11 @@ SUPPLY_STEP_PA: Final = 1e3
 """A stroke from rest is worked out anew for another place or supply pressure of this size."""
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
-TRIED_M: Final = 3e-3
-TRY_STEP_US: Final = 2_000
-MOST_TRIES: Final = 8
-"""A sleeve of which nothing is known is first moved so far, by pulses that grow by so much, until
-one teaches its law: one that is longer than it should be throws it through neutral."""
 LONGER_US: Final = 4_000
 FIRST_SHARE: Final = 0.7
-"""For the same reason a pulse is longer by no more than this than the last one that moved the
-sleeve towards neutral, whatever the law learned from it: something else may have held it, too. The
-first one of a run is no longer than this share of what a sleeve by the data sheet takes."""
+"""A pulse towards neutral is longer by no more than this than the last one that the sleeve has
+withstood, whatever the law says: a pulse too long throws it through. The first one of a run is no
+longer than this share of what a sleeve by the data sheet takes."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -102,10 +97,7 @@ class Sleeves:
         """The newest contact with each gear."""
         self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
-        unlearned = self._sleeves[MAIN_SLEEVES[0]].at_rest(-self._law.stroke_m)
-        self._push_us = pulse_to_neutral_us(unlearned, 1, 0)
-        """A sleeve that stands short of neutral is pushed for no longer than one that nothing is
-        known of is pulled out of its gear."""
+        self._unlearned = DrivenSleeve(self._law, prior)
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
         """A main valve's coil switches then (known in advance, or since); this replaces what was
@@ -289,12 +281,12 @@ class Sleeves:
         place = self.place(sleeve, at_us)
         if abs(rests_m) < NEAR_NEUTRAL_M or direction * place.speed_m_s > 0.0:
             return None
-        if not place.is_moving and at_us - self._sleeves[sleeve].last_switch_us < STANDS_US:
+        if not place.is_moving and not self._sleeves[sleeve].rests:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
         if place.is_moving:
             return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
-        most_us = min(self._push_us, self._withstands_us(sleeve, at_us, direction))
+        most_us = self._withstands_us(sleeve, direction, place.m)
         return self._pulse(sleeve, at_us, direction, most_us)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
@@ -311,24 +303,18 @@ class Sleeves:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral; a
         shorter one, where that may throw it through."""
         side = _SIDES[gear]
-        most_us = self._withstands_us(side.sleeve, on_us, -side.direction)
+        from_m = side.direction * self._law.stroke_m
+        most_us = self._withstands_us(side.sleeve, -side.direction, from_m)
         return self._pulse(side.sleeve, on_us, -side.direction, most_us)
 
-    def is_tried(self, gear: MainGear) -> bool:
-        """Whether nothing is known yet of the sleeve of this gear: it is pulled by pulses that may
-        leave it in."""
-        tracked = self._sleeves[_SIDES[gear].sleeve]
-        return tracked.movements == 0 and tracked.tried < MOST_TRIES
-
-    def _withstands_us(self, sleeve: Sleeve, on_us: int, direction: int) -> int:
-        """For so long a sleeve may be pushed towards neutral without being thrown through."""
-        tracked = self._sleeves[sleeve]
-        if tracked.movements == 0 and tracked.tried < MOST_TRIES:
-            short_m = max(0.0, abs(tracked.place_of(tracked.rest_m)) - TRIED_M)
-            first_us = pulse_to_neutral_us(tracked, direction, on_us, short_m)
-            return first_us + tracked.tried * TRY_STEP_US
-        before_us = tracked.moved_by_us.get(direction, 0) + LONGER_US
-        return max(round(FIRST_SHARE * self._push_us), before_us)
+    def _withstands_us(self, sleeve: Sleeve, direction: int, from_m: float) -> int:
+        """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
+        Where it is in its gear, torque on the teeth may have held it before."""
+        withstood_us = self._sleeves[sleeve].withstood_us
+        before_us = withstood_us.get((direction, abs(from_m) > self._law.in_gear_m), 0)
+        unlearned = self._unlearned.at_rest(from_m)
+        first_us = FIRST_SHARE * pulse_to_neutral_us(unlearned, direction, 0)
+        return max(round(first_us), before_us + LONGER_US)
 
     def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, most_us: int) -> Pulse:
         tracked = self._sleeves[sleeve]

@@ -26,10 +26,8 @@ def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch
     return Switch(on_us, valve, True), Switch(on_us + length_us, valve, False)
 
 
-def pulse_to_neutral_us(
-    sleeve: DrivenSleeve, direction: int, on_us: int, short_m: float = 0.0
-) -> int:
-    """How long the valve that pushes there has to be on; or for a place so far before neutral.
+def pulse_to_neutral_us(sleeve: DrivenSleeve, direction: int, on_us: int) -> int:
+    """How long the valve that pushes there has to be on.
 
     Between the shortest pulse that gets there and the longest that does not go beyond, in the
     middle: the detent makes good for what the law does not know."""
@@ -39,7 +37,7 @@ def pulse_to_neutral_us(
         while long_us - short_us > PULL_STEP_US:
             middle_us = (short_us + long_us) // 2
             m = rests_at_m(sleeve, on_us, pulse_of(direction, on_us, middle_us))
-            is_beyond = direction * m > level_m - short_m
+            is_beyond = direction * m > level_m
             short_us, long_us = (short_us, middle_us) if is_beyond else (middle_us, long_us)
         ends_us.append(short_us)
     return sum(ends_us) // 2

@@ -78,17 +78,16 @@ class TrackedSleeve(DrivenSleeve):
         self._sheet = prior
         self.movements = 0
         """From how many movements the law was learned."""
-        self.tried = 0
-        """Nothing was learned from so many movements in a row."""
-        self.moved_by_us: dict[int, int] = {}
-        """By direction: how long the last pulse was that moved it towards neutral."""
+        self.withstood_us: dict[tuple[int, bool], int] = {}
+        """By direction, and whether out of a gear: how long the last pulse towards neutral was."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
         """The sensor's reading where the sleeve last rested."""
         self.newest_us: int | None = None
         self.movement = Movement()
-        self._rests = True
+        self.rests = True
+        """It stands, and what its last movement showed has been learned."""
         self._switched_us = 0
         """When a switch last came that is no longer among those above."""
         self._left_m: Vector = np.zeros(0)
@@ -124,7 +123,7 @@ class TrackedSleeve(DrivenSleeve):
         if moves_us is None or track.newest_us < moves_us:
             self._rest(track)
             return
-        self._rests = False
+        self.rests = False
         for k in range(count - 1, -1, -1):
             self.movement.times_us.append(track.newest_us - k * SAMPLE_US)
             self.movement.readings_m.append(track.samples_m[k])
@@ -147,7 +146,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _moves_us(self) -> float | None:
         """The earliest at which a sleeve at rest may begin to move; None while nothing moves it."""
-        if not self._rests:
+        if not self.rests:
             return self.start.time_us
         if not self.switches:
             return None
@@ -167,7 +166,7 @@ class TrackedSleeve(DrivenSleeve):
         is_vented = bool(max(state[2:4]) == self.law.atmosphere_pa)
         self.start = Start(track.newest_us, state, is_vented)
         self.movement = Movement()
-        self._rests = self.is_free = True
+        self.rests = self.is_free = True
 
     @property
     def last_switch_us(self) -> int:
@@ -182,25 +181,24 @@ class TrackedSleeve(DrivenSleeve):
 
     def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""
-        known = self.movements
         self._see_pulse()
         if self.is_free:
             self._learn()
-        self.tried = 0 if self.movements > known else self.tried + 1
         self._keep(lambda one: one.time_us > track.newest_us)
         place_m = self.place_of(track.samples_m[0])
-        if abs(place_m) > self.law.stroke_m - 1e-3:
+        if abs(place_m) > self.law.in_gear_m:
             self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
         self._rest(track)
 
     def _see_pulse(self) -> None:
-        """By how long a pulse it was moved towards neutral."""
+        """By how long a pulse it was pushed towards neutral. One that has hardly moved it out of a
+        gear says nothing: torque on the teeth may have held it."""
         from_m = float(self.start.state[0])
-        direction = -1 if from_m > 0.0 else 1
+        direction, in_gear = -1 if from_m > 0.0 else 1, abs(from_m) > self.law.in_gear_m
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
         way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
-        if len(own) > 1 and own[0].on and way_m > LEAST_WAY_M and abs(from_m) > LEAST_WAY_M:
-            self.moved_by_us[direction] = own[1].time_us - own[0].time_us
+        if len(own) > 1 and own[0].on and (way_m > LEAST_WAY_M or not in_gear):
+            self.withstood_us[direction, in_gear] = own[1].time_us - own[0].time_us
 
     def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
