@@ -195,7 +195,7 @@ class Case(NamedTuple):
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
         by_sheet_us = longest_pulse_us(self.limits, self.set_off_m(valve, span))
         withstood_us = self.state.withstood_us.get(valve, 0) + LONGER_US
-        return end_us - span.start_us > max(by_sheet_us, withstood_us)
+        return end_us - self._since_us(valve, span) > max(by_sheet_us, withstood_us)
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

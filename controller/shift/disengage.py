@@ -24,9 +24,6 @@ PULL_PAUSE_US: Final = 60 * MS_IN_US
 """The valve is off for this long between two attempts: torque on the teeth may reverse
 meanwhile."""
 
-LONGER_US: Final = 4 * MS_IN_US
-"""A gear that has not come out is pulled for so much longer each time: the guard allows no more."""
-
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Takes the engine's torque away, opens the clutch, and waits until it is time to command the
@@ -86,10 +83,9 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
     if command.on and command.time_us <= snapshot.earliest_us < command.until_us:
         return  # under way
     if (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
-        pulse = context.sleeves.pull_out(gear, unloaded_us)
-        off_us = pulse.off_us + LONGER_US * max(0, shift.pulls - 1)
-        context.board.pulse(valve, pulse.on_us, off_us, now_us)
-        shift.pull_again_us = off_us + PULL_PAUSE_US
+        pulse = context.sleeves.pull_out(gear, unloaded_us, max(0, shift.pulls - 1))
+        context.board.pulse(valve, pulse.on_us, pulse.off_us, now_us)
+        shift.pull_again_us = pulse.off_us + PULL_PAUSE_US
 
 
 def _stays_in(context: ShiftContext, snapshot: StepSnapshot) -> bool:

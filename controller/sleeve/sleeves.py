@@ -46,10 +46,16 @@ SUPPLY_STEP_PA: Final = 1e3
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
 LONGER_US: Final = 4_000
-FIRST_SHARE: Final = 0.7
 """A pulse towards neutral is longer by no more than this than the last one that the sleeve has
-withstood, whatever the law says: a pulse too long throws it through. The first one of a run is no
-longer than this share of what a sleeve by the data sheet takes."""
+withstood, whatever the law says: a pulse too long throws it through, and torque on the teeth may
+have taught the law."""
+FIRST_SHARE: Final = 0.7
+TAUGHT: Final = 3
+"""The first one is no longer than the data sheet's sleeve takes; as long as the law was learned
+from fewer movements than these, no longer than this share of it."""
+RUN_ON_SHARE: Final = 0.5
+CLEAR_M: Final = 0.5e-3
+"""The guard takes a longer pulse for a firing: see docs/guard.md, "A pulse stops short"."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -84,6 +90,8 @@ class Sleeves:
         """A gear's teeth are out no sooner after its sleeve begins to move, by the data sheet: the
         guard goes by it too."""
         self._valve_us = SECOND_US * sleeve.valve_delay_s
+        self._least_stroke_us = SECOND_US * (sleeve.delay_s - sleeve.delay_limit_s) - self._valve_us
+        """From the valve's opening to contact from neutral, by the data sheet."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
@@ -299,26 +307,31 @@ class Sleeves:
         moves_us = SECOND_US * float(self._sleeves[side.sleeve].known.mean[ON + side.valve])
         return moves_us, self._valve_us + self._least_out_us
 
-    def pull_out(self, gear: MainGear, on_us: int) -> Pulse:
-        """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral; a
-        shorter one, where that may throw it through."""
+    def pull_out(self, gear: MainGear, on_us: int, in_vain: int = 0) -> Pulse:
+        """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral: a longer
+        one where it was pulled in vain so often, a shorter one where that may throw it through."""
         side = _SIDES[gear]
         from_m = side.direction * self._law.stroke_m
         most_us = self._withstands_us(side.sleeve, -side.direction, from_m)
-        return self._pulse(side.sleeve, on_us, -side.direction, most_us)
+        return self._pulse(side.sleeve, on_us, -side.direction, most_us, in_vain * LONGER_US)
 
     def _withstands_us(self, sleeve: Sleeve, direction: int, from_m: float) -> int:
         """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
-        Where it is in its gear, torque on the teeth may have held it before."""
+        In its gear and out of it are two things: torque on the teeth holds it there."""
         withstood_us = self._sleeves[sleeve].withstood_us
         before_us = withstood_us.get((direction, abs(from_m) > self._law.in_gear_m), 0)
-        unlearned = self._unlearned.at_rest(from_m)
-        first_us = FIRST_SHARE * pulse_to_neutral_us(unlearned, direction, 0)
-        return max(round(first_us), before_us + LONGER_US)
+        by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0)
+        clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
+        first_us = min(by_law_us, RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0))
+        if self._sleeves[sleeve].movements < TAUGHT:
+            first_us *= FIRST_SHARE
+        return max(int(first_us), before_us + LONGER_US)
 
-    def _pulse(self, sleeve: Sleeve, on_us: int, direction: int, most_us: int) -> Pulse:
+    def _pulse(
+        self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0
+    ) -> Pulse:
         tracked = self._sleeves[sleeve]
-        long_us = min(most_us, pulse_to_neutral_us(tracked, direction, on_us))
+        long_us = min(most_us, pulse_to_neutral_us(tracked, direction, on_us) + longer_us)
         rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
 

@@ -186,18 +186,18 @@ class TrackedSleeve(DrivenSleeve):
             self._learn()
         self._keep(lambda one: one.time_us > track.newest_us)
         place_m = self.place_of(track.samples_m[0])
-        if abs(place_m) > self.law.in_gear_m:
+        if abs(place_m) > self.law.in_gear_m > abs(self.place_of(self.rest_m)):
+            # One that was pulled in vain stands anywhere near its stop.
             self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
         self._rest(track)
 
     def _see_pulse(self) -> None:
-        """By how long a pulse it was pushed towards neutral. One that has hardly moved it out of a
-        gear says nothing: torque on the teeth may have held it."""
+        """By how long a pulse it was pushed towards neutral."""
         from_m = float(self.start.state[0])
-        direction, in_gear = -1 if from_m > 0.0 else 1, abs(from_m) > self.law.in_gear_m
+        direction = -1 if from_m > 0.0 else 1
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
-        way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
-        if len(own) > 1 and own[0].on and (way_m > LEAST_WAY_M or not in_gear):
+        if len(own) > 1 and own[0].on:
+            in_gear = abs(from_m) > self.law.in_gear_m
             self.withstood_us[direction, in_gear] = own[1].time_us - own[0].time_us
 
     def _follow(self, track: SleeveTrack) -> None:
@@ -342,6 +342,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _go_on(self, track: SleeveTrack) -> None:
         """Goes on from what is measured: teeth, or something else, hold or move the sleeve."""
+        self._see_pulse()
         self.is_free = False
         at_us = track.newest_us
         state = self.at(at_us).state.copy()

@@ -25,6 +25,7 @@ class Cylinder:
     friction_n: float = 120.0
     damping_nsm: float = 1200.0
     detent_n: float = 0.0
+    in_gear_n: float = 300.0
     static: float = 1.25
     supply_pa: float = 8.5e5 + AIR_PA
 
@@ -63,6 +64,7 @@ class DrawnSleeve:
             cylinder,
             friction_n=cylinder.friction_n * draw(0.8, 1.2),
             damping_nsm=cylinder.damping_nsm * draw(0.8, 1.2),
+            in_gear_n=cylinder.in_gear_n * draw(0.5, 1.5),
         )
         self.on_s = [12e-3 + draw(-2e-3, 2e-3) for _ in range(2)]
         self.off_s = [12e-3 + draw(-2e-3, 2e-3) for _ in range(2)]
@@ -116,6 +118,9 @@ class DrawnSleeve:
             push = (self.p[0] - self.p[1]) * AREA
             if abs(self.x) < DETENT_M:
                 push -= c.detent_n * math.sin(math.pi * self.x / DETENT_M)
+            left = STROKE - abs(self.x)
+            if left < DETENT_M:
+                push += math.copysign(c.in_gear_n, self.x) * math.sin(math.pi * left / DETENT_M)
             if self.v == 0.0 and abs(push) <= c.static * c.friction_n:
                 continue
             side = math.copysign(1.0, self.v or push)

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from chamber_sleeve import ChamberSleeve
 
+from meshpoint.controller.calibration.learned import SleeveLawRecords, SleeveRecords
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.motion.swing import ShaftState
@@ -25,6 +26,8 @@ from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.sleeve.law import SleeveLaw
+from meshpoint.controller.sleeve.law_record import law_record
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import (
     ClutchAction,
@@ -66,7 +69,7 @@ class Box:
     input_rad_s: float = 150.0
     settings: ControllerSettings = field(default_factory=ControllerSettings)
     phase_rad: float | None = None
-    """Of all gears at angles of zero; None: the sequence does not know it."""
+    """Of all gears at angles of zero, and the sleeves' laws are known; None: nothing is."""
     pull: float = 0.0
     """The engine's torque in gear, as a share."""
     lost: FaultCode = FaultCode.NONE
@@ -110,6 +113,10 @@ class Box:
         self.brake = BrakeInput(DELAY_MS * MS_US)
         self.view = GearboxView(SHEET)
         self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.brake, self.references)
+        if self.phase_rad is not None:
+            law = law_record(SleeveLaw(SHEET).prior(SHEET), 10)
+            known = {one.name.lower(): law for one in MAIN_SLEEVES}
+            self.sequence.sleeves.restore(SleeveRecords(), SleeveLawRecords(**known))
         self.records: list[ShiftRecord] = []
 
     @property

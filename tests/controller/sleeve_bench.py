@@ -10,7 +10,7 @@ from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
 
-TICK_US = 10_000
+TICK_US, IN_GEAR = 10_000, 11e-3
 GEAR, OTHER = MainGear.SECOND, MainGear.FIRST
 SLEEVE = Sleeve.FIRST_SECOND
 VALVES = (SLEEVE_VALVE[GEAR], SLEEVE_VALVE[OTHER])
@@ -70,15 +70,20 @@ class SleeveBench:
         return predicted.contact_us - fire_us + self.back_us, self.sleeve.reached_us[face] - fire_us
 
     def back(self, way: int = 0) -> float:
-        """Out of the gear and to neutral by the room's own pulses; where the first one left it."""
+        """Out of the gear and to neutral by the room's own pulses; where the one left it that took
+        it out of the gear."""
         self.command(way, False, self.now_us + 4_000)
         self.run(1_000_000)
-        on_us = self.now_us + 15_000
-        pulse = self.sleeves.pull_out(GEAR if way == 0 else OTHER, on_us - self.back_us)
-        self.pulse(1 - way, on_us, pulse.off_us + self.back_us)
-        self.run(300_000)
+        gear, pulls = GEAR if way == 0 else OTHER, 0
+        while abs(self.sleeve.x) > IN_GEAR:
+            assert pulls < 8
+            on_us = self.now_us + 15_000
+            pulse = self.sleeves.pull_out(gear, on_us - self.back_us, pulls)
+            self.pulse(1 - way, on_us, pulse.off_us + self.back_us)
+            self.run(300_000)
+            pulls += 1
         first_m = self.sleeve.x
-        for _ in range(4):
+        for _ in range(6):
             on_us = self.now_us + 15_000
             again = self.sleeves.to_neutral(SLEEVE, on_us - self.back_us)
             if again is None:

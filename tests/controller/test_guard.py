@@ -296,14 +296,19 @@ def test_row_10_nor_is_a_splitter_step() -> None:
 
 def test_a_valve_that_has_pulled_a_gear_out_may_stay_on_to_neutral_and_no_further() -> None:
     """Seen a read late: in neutral it is no engagement yet, 1.6 mm on it is."""
-    guard, on = ready(), payload(ValveName.MAIN_CRAWL, how=ValveAction.ON_NOW)
+    guard, valve = ready(), ValveName.MAIN_CRAWL
     fast = NEUTRAL._replace(speeds=speeds(gear=MainGear.CRAWL, slip_rpm=200.0))
+    on = payload(valve, at_us=NOW + 1_000)
+    off = payload(valve, how=ValveAction.OFF_AT, at_us=NOW + 20_000)
     assert guard.passes(on, place(fast, 1, 0.012))
-    assert guard.passes(on, place(fast, 1, 0.0))
-    assert guard.passes(on, place(fast, 1, -1.4e-3))
-    assert not guard.passes(on, place(fast, 1, -1.6e-3))
+    for later_us, way_m in ((10_000, 0.0), (15_000, -1.4e-3)):
+        seen_us = {"now_us": NOW + later_us, "positions_us": NOW + later_us - 1_000}
+        assert guard.passes(off, place(fast, 1, way_m)._replace(**seen_us))
+    far = place(fast, 1, -1.6e-3)._replace(now_us=NOW + 18_000, positions_us=NOW + 17_000)
+    assert not guard.passes(off, far)
     assert guard.blocked_row == 3
-    assert not guard.passes(on, place(fast, 1, 0.0))  # and not again without having pulled
+    again = payload(valve, how=ValveAction.ON_NOW)
+    assert not guard.passes(again, place(far, 1, 0.0))  # and not again without having pulled
 
 
 @pytest.mark.parametrize("valve", ValveName)

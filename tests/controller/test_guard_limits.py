@@ -164,13 +164,14 @@ def test_a_main_sleeve_is_neutral_and_driven_toward_a_gear_exactly_up_to_their_l
             assert case(positions_m=(*positions, 0.012, 0.012)).main_is_neutral() is is_neutral
     apart_m = limits().apart_m
     assert apart_m == contact_m - 0.2e-3
+    withstood = GuardState(withstood_us={SECOND: 40_000})
     for position_m, is_engaging in (
         (-apart_m, True), (-apart_m - 1e-9, False), (contact_m, True), (contact_m + 1e-9, False),
     ):  # fmt: skip
         driven = {SECOND: Span(NOW_US - 20_000, 1 << 62)}
-        judged = case(driven, positions_m=(position_m, 0.0, 0.012, 0.012))
+        judged = case(driven, withstood, positions_m=(position_m, 0.0, 0.012, 0.012))
         assert bool(judged.engaging()) is is_engaging
-    pulled = GuardState(pulls=frozenset({SECOND}))
+    pulled = GuardState(pulls=frozenset({SECOND}), withstood_us={SECOND: 40_000})
     for position_m, is_engaging in ((GUARD_NEUTRAL_M, True), (GUARD_NEUTRAL_M - 1e-9, False)):
         judged = case({SECOND: DRIVEN}, pulled, positions_m=(position_m, 0.0, 0.012, 0.012))
         assert bool(judged.engaging()) is is_engaging

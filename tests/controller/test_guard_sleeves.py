@@ -251,12 +251,64 @@ def test_pulses_in_a_row_count_as_one_until_the_sleeve_is_seen_to_stand() -> Non
     assert row(guard, at(156, 2.0), {FIRST: (ON_AT, 158)}) is None
 
 
-def test_a_sleeve_out_of_mesh_is_pulled_by_a_pulse_one_in_mesh_until_it_is_out() -> None:
-    for way_mm, forbidden in ((4.8, 3), (4.81, None), (12.0, None)):
-        guard = ready()
-        orders = {FIRST: (ON_AT, 2.0)}
-        assert row(guard, at(0, way_mm), orders) is None
-        assert row(guard, at(60, way_mm), orders) == forbidden
+# -- pulled out of a gear --------------------------------------------------------------------
+
+
+def pull(guard: Guard, from_ms: float, lasts_ms: float, rests_mm: float = 12.0) -> int | None:
+    """The row that forbids a pull out of second gear, by first's valve; if none does, the sleeve
+    then stands there."""
+    end_ms = from_ms + lasts_ms
+    assert row(guard, at(from_ms - 2.0, 12.0), {FIRST: (ON_AT, from_ms)}) is None
+    found = row(guard, at(from_ms + 10.0, 12.0), {FIRST: (OFF_AT, end_ms)})
+    for later_ms in (1.0, 60.0):
+        assert row(guard, at(end_ms + later_ms, rests_mm)) is None
+    return found
+
+
+@pytest.mark.parametrize(("lasts_ms", "forbidden"), [(20.843, None), (20.844, 3)])
+def test_a_gear_is_pulled_for_no_longer_than_the_fastest_sleeve_withstands(
+    lasts_ms: float, forbidden: int | None
+) -> None:
+    """28 / 2 ms times the third root of the way over that of a stroke; 12 + 4.5 mm here."""
+    assert pull(ready(), 5.0, lasts_ms) == forbidden
+
+
+@pytest.mark.parametrize(
+    ("rests_mm", "longer_ms", "forbidden"),
+    [(12.0, 4.0, None), (12.0, 4.001, 3), (-1.5, 4.0, None), (-1.51, 4.0, 3), (0.0, 4.001, 3)],
+)
+def test_and_by_4_ms_longer_than_a_pull_that_did_not_take_it_beyond_neutral(
+    rests_mm: float, longer_ms: float, forbidden: int | None
+) -> None:
+    guard = ready()
+    assert pull(guard, 5.0, 20.0, rests_mm) is None
+    assert pull(guard, 205.0, 20.0 + longer_ms) == forbidden
+
+
+def test_a_shorter_pull_after_a_longer_one_takes_nothing_back() -> None:
+    guard = ready()
+    for from_ms, lasts_ms in ((5.0, 20.0), (205.0, 24.0), (405.0, 15.0), (605.0, 24.0)):
+        assert pull(guard, from_ms, lasts_ms) is None
+
+
+def test_a_pull_without_an_end_is_blocked_while_the_next_command_can_still_end_it() -> None:
+    guard = ready()
+    for ms, forbidden in ((0.0, None), (7.8, None), (7.9, 3)):
+        assert row(guard, at(ms, 12.0), {FIRST: (ON_AT, 2.0)}) == forbidden
+
+
+def test_pulls_in_a_row_count_as_one_until_the_sleeve_is_seen_to_stand() -> None:
+    guard = ready()
+    assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 2.0)}) is None
+    assert row(guard, at(8, 12.0), {FIRST: (OFF_AT, 12.0)}) is None
+    assert row(guard, at(13, 12.0), {FIRST: (ON_AT, 14.0)}) == 3
+
+
+def test_a_gear_whose_slip_is_in_its_window_may_be_fired_out_of_another_one() -> None:
+    guard = ready()
+    for ms in (0.0, 10.0, 20.0):
+        seen = at(ms, 12.0, slip_rpm=slip_for(FIRST))
+        assert row(guard, seen, {FIRST: (ON_AT, 2.0)}) is None
 
 
 # -- a second stroke -------------------------------------------------------------------------
@@ -365,8 +417,8 @@ def test_a_sleeve_that_a_pull_carries_through_neutral_is_not_proven_there(
     speed_m_s: float, forbidden: int | None
 ) -> None:
     guard = ready()
-    for ms, way_mm in ((0.0, 12.0), (40.0, 6.0)):
-        assert row(guard, at(ms, way_mm), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(10, 12.0), {FIRST: (OFF_AT, 20)}) is None
     assert row(guard, at(50, 0.4, speed_m_s), {RANGE_HIGH: (ON_AT, 55)}) == forbidden
 
 
@@ -378,10 +430,11 @@ def test_a_pull_goes_on_after_a_break_until_the_sleeve_has_come_to_neutral() -> 
     """Blocked for a step on its way out, a sleeve is still pulled, and not on to the other gear."""
     for way_mm, forbidden in ((1.51, None), (1.5, 3)):
         guard = ready()
-        for ms, at_mm in ((0.0, 12.0), (40.0, 6.0)):
-            assert row(guard, at(ms, at_mm), {FIRST: (ON_AT, 4)}) is None
-        assert row(guard, at(50, 4.0, -0.4)) is None
-        assert row(guard, at(60, way_mm, -0.4), {FIRST: (ON_AT, 64)}) == forbidden
+        assert pull(guard, -400.0, 20.0) is None
+        assert pull(guard, -200.0, 24.0) is None
+        assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 1)}) is None
+        assert row(guard, at(8, 6.0, -0.4)) is None
+        assert row(guard, at(12, way_mm, -0.4), {FIRST: (ON_AT, 13)}) == forbidden
 
 
 def slip_for(valve: int) -> float:
@@ -395,10 +448,10 @@ def test_a_pull_after_a_pulse_that_brought_the_sleeve_back_is_a_pull() -> None:
     guard = ready()
     assert row(guard, at(0, -4.7), {SECOND: (ON_AT, 2)}) is None
     assert row(guard, at(5, -4.7), {SECOND: (OFF_AT, 8)}) is None
-    assert row(guard, at(10, -4.9), {SECOND: (ON_AT, 14)}) is None
-    assert row(guard, at(30, -4.9), {SECOND: (ON_AT, 14)}) is None
-    assert row(guard, at(40, -1.0, late_ms=16.0)) is None
-    assert row(guard, at(41, -1.0, late_ms=17.0), {RANGE_HIGH: (ON_AT, 50)}) is None
+    assert row(guard, at(10, -4.9), {SECOND: (ON_AT, 12)}) is None
+    assert row(guard, at(14, -4.9), {SECOND: (OFF_AT, 19)}) is None
+    assert row(guard, at(25, -1.0, late_ms=16.0)) is None
+    assert row(guard, at(26, -1.0, late_ms=17.0), {RANGE_HIGH: (ON_AT, 35)}) is None
 
 
 @pytest.mark.parametrize(("valve", "forbidden"), [(RANGE_HIGH, 8), (THIRD, 2)])
@@ -408,8 +461,8 @@ def test_a_sleeve_fired_after_its_pull_is_not_neutral_before_it_is_seen_to_stand
     """Pulled out of first gear, and fired into second by the same valve 6 ms after that: where it
     is measured it has not moved yet."""
     guard = ready()
-    for ms, way_mm in ((0.0, -12.0), (40.0, -6.0)):
-        assert row(guard, at(ms, way_mm), {SECOND: (ON_AT, 4)}) is None
+    assert row(guard, at(22, -12.0), {SECOND: (ON_AT, 24)}) is None
+    assert row(guard, at(32, -12.0), {SECOND: (OFF_AT, 42)}) is None
     assert row(guard, at(44, -1.0)) is None
     for ms in (46.0, 56.0, 66.0):
         assert row(guard, at(ms, -1.0, late_ms=20.0), {SECOND: (ON_AT, 50)}) is None
@@ -424,7 +477,7 @@ def test_a_pull_that_ended_less_than_the_least_delay_ago_still_pulls(
 ) -> None:
     """Its teeth will be out as the brake's air comes, though they are not yet."""
     guard = ready()
-    assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 4)}) is None
+    assert row(guard, at(20, 12.0), {FIRST: (ON_AT, 22)}) is None
     assert row(guard, at(30, 9.0, -0.4), {FIRST: (OFF_AT, 40)}) is None
     seen = at(40 + off_ms, 5.5, -0.6)
     assert row(guard, seen, {BRAKE: (ON_AT, 50)}) == forbidden

@@ -43,7 +43,7 @@ def going(*states: State, **other: Any) -> Box:
 
 @pytest.mark.parametrize(("gear", "speed", "target"), [UP, (7, 190.0, 9), (3, 120.0, 5),
                                                        (8, 150.0, 10), (9, 150.0, 11)])  # fmt: skip
-@pytest.mark.parametrize("supply_pa", [7.0e5, 9.5e5])
+@pytest.mark.parametrize("supply_pa", [8.5e5, 9.5e5])
 def test_the_brakes_air_is_asked_in_the_first_step_that_sees_the_old_teeth_clear(
     gear: int, speed: float, target: int, supply_pa: float
 ) -> None:
@@ -65,7 +65,7 @@ def test_the_brakes_air_is_asked_in_the_first_step_that_sees_the_old_teeth_clear
 def test_a_sleeve_that_stops_on_its_way_out_takes_the_brakes_air_back() -> None:
     """No more air comes than until the next step sees it, and it is no use of the brake. With less
     air a sleeve is slow enough to be seen between its teeth and neutral."""
-    box = going(State.DISENGAGING, supply_pa=7.0e5)
+    box = going(State.DISENGAGING, supply_pa=8.0e5)
     while not box.board.command(ValveName.BRAKE).on:
         box.step()
         assert box.running()

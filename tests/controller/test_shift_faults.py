@@ -223,6 +223,7 @@ def test_a_shift_under_way_ends_at_once_when_a_gear_is_seen_in_mesh(
     """Well where it is the gear asked for, else with a fault; the clutch closes, valves are off,
     and the engine gets the gear's speed. How its teeth met nobody has seen: no phase is learned."""
     box = brought_in(way, state, gear)
+    box.stuck.add(SLEEVE_OF_MAIN[gear].sleeve)  # it stays where it was brought
     assert box.running()
     box.step()
     (record,) = box.records

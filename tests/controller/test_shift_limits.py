@@ -4,6 +4,7 @@ more than its attempts, nothing stays on after it, and a request that is refused
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -92,7 +93,8 @@ def test_a_gear_that_stays_in_is_pulled_for_its_limit_by_pulses_that_grow(ms: in
     lengths_us = list(pulls.values())
     assert len(lengths_us) >= box.settings.limits.attempts
     assert lengths_us == sorted(lengths_us)
-    assert lengths_us[-1] > 1.4 * lengths_us[0]
+    assert all(b - a <= 4_000 for a, b in itertools.pairwise(lengths_us))
+    assert lengths_us[-1] == lengths_us[0] + 4_000 * (len(lengths_us) - 1)
     lasted_us = TICK_US * sum(seen is State.DISENGAGING for _, seen in box.seen)
     assert 1_000 * ms <= lasted_us <= 1_000 * ms + lengths_us[-1] + 60_000 + 3 * TICK_US
     assert box.records[0].fault is FaultCode.DISENGAGE_FAILED
