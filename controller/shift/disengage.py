@@ -46,7 +46,7 @@ def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Pulls the old gear out, in a limited number of attempts; not if only the splitter changes."""
-    shift, gear = context.running, snapshot.view.main_gear
+    shift, gear, limits = context.running, snapshot.view.main_gear, context.settings.limits
     if gear is shift.target.main and snapshot.view.range_ is shift.target.range_:
         return Trigger.MAIN_BOX_STAYS
     if gear is MainGear.NEUTRAL and comes_to_rest(context, snapshot):
@@ -61,8 +61,8 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         if _stays_in(context, snapshot):
             return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
         pull_out(context, snapshot, gear)
-    elif shift.returns > context.settings.limits.attempts or context.late(
-        snapshot, context.settings.limits.disengage_ms
+    elif shift.returns > limits.attempts or context.late(
+        snapshot, limits.attempts * limits.disengage_ms
     ):
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     else:

@@ -61,9 +61,13 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
             return True
         pulse = context.sleeves.to_neutral(sleeve, snapshot.at_once_us)
         if pulse is not None:
-            context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
+            # Its end is sent a step after its beginning, and must not come too late for it.
+            later_us = max(0, snapshot.earliest_us + context.tick_us - pulse.off_us)
+            later_us = 0 if _brakes(context, pulse) else later_us
+            on_us, off_us = pulse.on_us + later_us, pulse.off_us + later_us
+            context.board.pulse(pulse.valve, on_us, off_us, snapshot.now_us)
             if context.shift is not None:
-                context.shift.pushed_us = pulse.off_us
+                context.shift.pushed_us = off_us
                 context.shift.is_braked = _brakes(context, pulse)
             return True
     return _moves(context, snapshot)

@@ -46,9 +46,10 @@ SUPPLY_STEP_PA: Final = 1e3
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
 LONGER_US: Final = 4_000
-"""A pulse towards neutral is longer by no more than this than the last one that the sleeve has
-withstood, whatever the law says: a pulse too long throws it through, and torque on the teeth may
-have taught the law."""
+A_LITTLE_US: Final = 2_000
+"""A pulse towards neutral is longer by no more than this, out of a gear or from before the teeth,
+than the last one that the sleeve has withstood, whatever the law says: a pulse too long throws it
+through, and torque on the teeth may have taught the law."""
 FIRST_SHARE: Final = 0.7
 TAUGHT: Final = 3
 """The first one is no longer than the data sheet's sleeve takes; as long as the law was learned
@@ -319,13 +320,14 @@ class Sleeves:
         """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
         In its gear and out of it are two things: torque on the teeth holds it there."""
         withstood_us = self._sleeves[sleeve].withstood_us
-        before_us = withstood_us.get((direction, abs(from_m) > self._law.in_gear_m), 0)
+        in_gear = abs(from_m) > self._law.in_gear_m
+        before_us = withstood_us.get((direction, in_gear), 0)
         by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0)
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         first_us = min(by_law_us, RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0))
         if self._sleeves[sleeve].movements < TAUGHT:
             first_us *= FIRST_SHARE
-        return max(int(first_us), before_us + LONGER_US)
+        return max(int(first_us), before_us + (LONGER_US if in_gear else A_LITTLE_US))
 
     def _pulse(
         self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0
