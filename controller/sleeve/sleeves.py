@@ -55,8 +55,9 @@ TAUGHT: Final = 3
 """The first one is no longer than the data sheet's sleeve takes; as long as the law was learned
 from fewer movements than these, no longer than this share of it."""
 RUN_ON_SHARE: Final = 0.5
-CLEAR_M: Final = 0.5e-3
-"""The guard takes a longer pulse for a firing: see docs/guard.md, "A pulse stops short"."""
+CLEAR_M: Final = 1.0e-3
+"""The guard takes a longer pulse for a firing: see docs/guard.md, "A pulse stops short". It goes by
+half of this clearance; the rest is what its position sensor may be wrong by."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 

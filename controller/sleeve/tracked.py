@@ -29,7 +29,7 @@ LOST_M: Final = 8e-4
 """The law is this far from what is measured: something else holds or moves the sleeve."""
 UNEXPLAINED_M: Final = 2e-4
 """A movement whose samples are this far from the law, rms, is of something else."""
-LEAST_WAY_M: Final = 1e-3
+LEAST_WAY_M: Final = 3e-3
 UNLIKELY_SDS: Final = 4.5
 """A figure this far from the data sheet's is no figure of this sleeve."""
 MOST_SAMPLES: Final = 110

@@ -9,7 +9,7 @@ from meshpoint.rig_sim.settings import Profile
 MAY_STAY_OPEN = {"brake touch pressure", "open clutch drag", "clutch kiss point"}
 """What eight shifts may tell no better than the data sheet."""
 MOST_HALF = {
-    "brake torque": 10.0, "brake torque by speed": 20.0, "brake valve on delay": 1.5,
+    "brake torque": 14.0, "brake torque by speed": 20.0, "brake valve on delay": 1.5,
     "brake valve off delay": 1.5, "brake filling time": 1.0, "brake emptying time": 1.0,
     "drag": 15.0, "inertia ratio": 0.15, "layshaft wheel duty": 0.15, "main wheel duty": 0.15,
     "layshaft wheel eccentricity": 0.03, "main wheel eccentricity": 0.15,
