@@ -44,7 +44,7 @@ OWN_FEED_SD: Final = 0.10
 """By how much two valves of a sleeve differ in their conductance."""
 NEAR_STOP_M: Final = 1e-3
 IN_GEAR_SHARE: Final = 0.5
-"""Force of the detents in gear over that of the one in neutral, of which alone the sheet tells."""
+"""Force of the detents in gear over that of the one in neutral: the sheet has the latter alone."""
 LEAST_CONDUCTANCE: Final = 1e-10
 MOST_CONDUCTANCE: Final = 1e-6
 SLOPE_STEP: Final = 0.05

@@ -311,7 +311,7 @@ class Sleeves:
 
     def pull_out(self, gear: MainGear, on_us: int, in_vain: int = 0) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral: a longer
-        one where it was pulled in vain so often, a shorter one where that may throw it through."""
+        one for each pull in vain, a shorter one where that may throw it through."""
         side = _SIDES[gear]
         from_m = side.direction * self._law.stroke_m
         most_us = self._withstands_us(side.sleeve, -side.direction, from_m)

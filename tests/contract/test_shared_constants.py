@@ -85,6 +85,7 @@ REASONS: Final = {
     "brake_fit.py: CHANCE_RAD2_S3": "chance: the rig's are a drag factor and a correlation",
     "brake_fit.py: ITERATIONS": COUNT,
     "brake_trajectory.py: BY_SPEED": COUNT,
+    "cylinder.py: PARAMETERS": COUNT,
     "brake_trajectory.py: LEAST_BINS": COUNT,
     "brake_trajectory.py: SENSOR_LAG": COUNT,
     "brake_trajectory.py: PLATES": COUNT,
