@@ -51,7 +51,7 @@ A_LITTLE_US: Final = 2_000
 than the last one that the sleeve has withstood, whatever the law says: a pulse too long throws it
 through, and torque on the teeth may have taught the law."""
 FIRST_SHARE: Final = 0.7
-TAUGHT: Final = 3
+TAUGHT: Final = 10
 """The first one is no longer than the data sheet's sleeve takes; as long as the law was learned
 from fewer movements than these, no longer than this share of it."""
 RUN_ON_SHARE: Final = 0.5
