@@ -38,6 +38,7 @@ FADES: Final = 0.002
 REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
+NEUTRAL_M: Final = 1.5e-3
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -192,11 +193,12 @@ class TrackedSleeve(DrivenSleeve):
         self._rest(track)
 
     def _see_pulse(self) -> None:
-        """By how long a pulse it was pushed towards neutral."""
+        """By how long a pulse it was pushed towards neutral, and not beyond."""
         from_m = float(self.start.state[0])
         direction = -1 if from_m > 0.0 else 1
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
-        if len(own) > 1 and own[0].on:
+        place_m = self.place_of(self.movement.readings_m[-1])
+        if len(own) > 1 and own[0].on and direction * place_m < NEUTRAL_M:
             in_gear = abs(from_m) > self.law.in_gear_m
             self.withstood_us[direction, in_gear] = own[1].time_us - own[0].time_us
 
