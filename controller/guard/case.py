@@ -191,11 +191,14 @@ class Case(NamedTuple):
 
     def _runs_through(self, valve: int, span: Span) -> bool:
         """Whether this valve pulls a gear out for longer than the sheet's fastest sleeve takes to
-        come before the other gear's teeth, and than this one has withstood."""
+        come before the other gear's teeth, than this one has withstood, and than until the next
+        command can end it."""
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
         by_sheet_us = longest_pulse_us(self.limits, self.set_off_m(valve, span))
         withstood_us = self.state.withstood_us.get(valve, 0) + LONGER_US
-        return end_us - self._since_us(valve, span) > max(by_sheet_us, withstood_us)
+        # It forbids nothing that no command could avoid.
+        most_us = max(by_sheet_us, withstood_us, self.limits.switch_again_us)
+        return end_us - self._since_us(valve, span) > most_us
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

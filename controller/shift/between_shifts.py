@@ -69,7 +69,9 @@ def wait_for_position(context: ShiftContext, snapshot: StepSnapshot) -> Trigger 
     if snapshot.lost is FaultCode.POSITION_STALE:
         return None
     if snapshot.view.main_gear is None:
-        _free_sleeves(context, snapshot)
+        # The shift that has just ended has tried.
+        if snapshot.now_us - context.since_us > FREE_AGAIN_US:
+            _free_sleeves(context, snapshot)
         return None
     if snapshot.view.main_gear is MainGear.NEUTRAL:
         return Trigger.FOUND_IN_NEUTRAL

@@ -12,6 +12,7 @@ from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.to_neutral import (
     bring_to_neutral,
     comes_to_rest,
+    ends_in_time,
     is_under_way,
     stand,
 )
@@ -84,6 +85,7 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
         return  # under way
     if (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
         pulse = context.sleeves.pull_out(gear, unloaded_us, max(0, shift.pulls - 1))
+        pulse = ends_in_time(context, snapshot, pulse)
         context.board.pulse(valve, pulse.on_us, pulse.off_us, now_us)
         shift.pull_again_us = pulse.off_us + PULL_PAUSE_US
 

@@ -61,16 +61,23 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
             return True
         pulse = context.sleeves.to_neutral(sleeve, snapshot.at_once_us)
         if pulse is not None:
-            # Its end is sent a step after its beginning, and must not come too late for it.
-            later_us = max(0, snapshot.earliest_us + context.tick_us - pulse.off_us)
-            later_us = 0 if _brakes(context, pulse) else later_us
-            on_us, off_us = pulse.on_us + later_us, pulse.off_us + later_us
-            context.board.pulse(pulse.valve, on_us, off_us, snapshot.now_us)
+            if not _brakes(context, pulse):
+                pulse = ends_in_time(context, snapshot, pulse)
+            context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
             if context.shift is not None:
-                context.shift.pushed_us = off_us
+                context.shift.pushed_us = pulse.off_us
                 context.shift.is_braked = _brakes(context, pulse)
             return True
     return _moves(context, snapshot)
+
+
+def ends_in_time(context: ShiftContext, snapshot: StepSnapshot, pulse: Pulse) -> Pulse:
+    """The same pulse, a little later where it is too short: its end is sent by the first step
+    after its beginning."""
+    lead_us = snapshot.earliest_us - snapshot.now_us
+    sent_us = (snapshot.now_us - pulse.on_us) % context.tick_us
+    later_us = max(0, sent_us + lead_us - (pulse.off_us - pulse.on_us))
+    return pulse._replace(on_us=pulse.on_us + later_us, off_us=pulse.off_us + later_us)
 
 
 def _brakes(context: ShiftContext, pulse: Pulse) -> bool:

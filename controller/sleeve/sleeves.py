@@ -56,8 +56,10 @@ TAUGHT: Final = 10
 from fewer movements than these, no longer than this share of it."""
 RUN_ON_SHARE: Final = 0.5
 CLEAR_M: Final = 1.0e-3
-"""The guard takes a longer pulse for a firing: see docs/guard.md, "A pulse stops short". It goes by
-half of this clearance; the rest is what its position sensor may be wrong by."""
+REACT_US: Final = 15_000
+"""The guard takes a longer pulse for a firing, but for one that the next command ends: see
+docs/guard.md, "A pulse stops short". It goes by half of this clearance; the rest is what its
+position sensor may be wrong by."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -284,8 +286,8 @@ class Sleeves:
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
         """The pulse that brings a sleeve to rest in neutral: towards neutral where it stands before
         the teeth or between unloaded ones, against its motion where it would fly past. None where
-        it comes to rest there by itself, or falls short and does not stand yet: two pulses in a
-        row could throw it to the other gear."""
+        it comes to rest there by itself, moves otherwise than the law says, or falls short and does
+        not stand yet: two pulses in a row could throw it to the other gear."""
         rests_m = rests_at_m(self._sleeves[sleeve], at_us)
         direction = 1 if rests_m < 0.0 else -1
         place = self.place(sleeve, at_us)
@@ -295,6 +297,8 @@ class Sleeves:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
         if place.is_moving:
+            if not self._sleeves[sleeve].is_explained:
+                return None
             return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
         most_us = self._withstands_us(sleeve, direction, place.m)
         return self._pulse(sleeve, at_us, direction, most_us)
@@ -314,10 +318,13 @@ class Sleeves:
         one for each pull in vain, a shorter one where that may throw it through."""
         side = _SIDES[gear]
         from_m = side.direction * self._law.stroke_m
-        most_us = self._withstands_us(side.sleeve, -side.direction, from_m)
-        return self._pulse(side.sleeve, on_us, -side.direction, most_us, in_vain * LONGER_US)
+        longer_us = in_vain * LONGER_US
+        most_us = self._withstands_us(side.sleeve, -side.direction, from_m, longer_us)
+        return self._pulse(side.sleeve, on_us, -side.direction, most_us, longer_us)
 
-    def _withstands_us(self, sleeve: Sleeve, direction: int, from_m: float) -> int:
+    def _withstands_us(
+        self, sleeve: Sleeve, direction: int, from_m: float, longer_us: int = 0
+    ) -> int:
         """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
         In its gear and out of it are two things: torque on the teeth holds it there."""
         withstood_us = self._sleeves[sleeve].withstood_us
@@ -325,10 +332,11 @@ class Sleeves:
         before_us = withstood_us.get((direction, in_gear), 0)
         by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0)
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
-        first_us = min(by_law_us, RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0))
+        bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
+        first_us = min(by_law_us, max(bound_us, REACT_US))
         if self._sleeves[sleeve].movements < TAUGHT:
             first_us *= FIRST_SHARE
-        return max(int(first_us), before_us + (LONGER_US if in_gear else A_LITTLE_US))
+        return max(int(first_us) + longer_us, before_us + (LONGER_US if in_gear else A_LITTLE_US))
 
     def _pulse(
         self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0

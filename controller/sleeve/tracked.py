@@ -39,6 +39,7 @@ REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 NEUTRAL_M: Final = 1.5e-3
+MOVED_M: Final = 1e-3
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -193,13 +194,17 @@ class TrackedSleeve(DrivenSleeve):
         self._rest(track)
 
     def _see_pulse(self) -> None:
-        """By how long a pulse it was pushed towards neutral, and not beyond."""
+        """By how long a pulse it was pushed towards neutral, and not beyond. One that has hardly
+        moved it out of a gear says nothing: torque on the teeth may have held it."""
         from_m = float(self.start.state[0])
         direction = -1 if from_m > 0.0 else 1
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
         place_m = self.place_of(self.movement.readings_m[-1])
-        if len(own) > 1 and own[0].on and direction * place_m < NEUTRAL_M:
-            in_gear = abs(from_m) > self.law.in_gear_m
+        way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
+        in_gear = abs(from_m) > self.law.in_gear_m
+        if len(own) < 2 or not own[0].on or direction * place_m > NEUTRAL_M:
+            return
+        if way_m > MOVED_M or not in_gear:
             self.withstood_us[direction, in_gear] = own[1].time_us - own[0].time_us
 
     def _follow(self, track: SleeveTrack) -> None:
@@ -254,7 +259,7 @@ class TrackedSleeve(DrivenSleeve):
         return float(fitted.left_m[-1])
 
     @property
-    def _is_explained(self) -> bool:
+    def is_explained(self) -> bool:
         """Whether the law explains the movement by figures that the sheet makes likely. A sleeve
         that hardly moved is held by something else."""
         left, readings = self._left_m, self.movement.readings_m
@@ -267,7 +272,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _learn(self) -> None:
         """What the movement showed is known from now on, if the law explains it."""
-        if self._is_explained:
+        if self.is_explained:
             mean, covariance = self.learned.copy(), self.joint[:PARAMETERS, :PARAMETERS]
             faded = (1.0 - FADES) * covariance + FADES * self._sheet.covariance
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
@@ -287,7 +292,7 @@ class TrackedSleeve(DrivenSleeve):
     def _meet(self, track: SleeveTrack, touched: int) -> None:
         """It comes to a gear's teeth."""
         direction = 1 if self.place_of(self.movement.readings_m[touched]) > 0.0 else -1
-        fitted, is_explained = self._way_in(direction), self._is_explained
+        fitted, is_explained = self._way_in(direction), self.is_explained
         valve = valve_towards(direction)
         fires = [one for one in self.switches if one.on and one.valve == valve]
         found = self.learned, self.late_s, self.joint

@@ -9,7 +9,7 @@ from meshpoint.rig_sim.settings import Profile
 MAY_STAY_OPEN = {"brake touch pressure", "open clutch drag", "clutch kiss point"}
 """What eight shifts may tell no better than the data sheet."""
 MOST_HALF = {
-    "brake torque": 14.0, "brake torque by speed": 20.0, "brake valve on delay": 1.5,
+    "brake torque": 10.0, "brake torque by speed": 20.0, "brake valve on delay": 1.5,
     "brake valve off delay": 1.5, "brake filling time": 1.0, "brake emptying time": 1.0,
     "drag": 15.0, "inertia ratio": 0.15, "layshaft wheel duty": 0.15, "main wheel duty": 0.15,
     "layshaft wheel eccentricity": 0.03, "main wheel eccentricity": 0.15,
@@ -37,8 +37,11 @@ def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
         half = 0.5 * (one.high - one.low)
         assert 0.0 < half < most, name
         off[name] = abs(one.truth - 0.5 * (one.high + one.low)) / half
-    assert max(off.values()) < 2.0
-    assert sum(share < 1.0 for share in off.values()) >= 16
+    # A root of a mean square has no room below: what is left of an eccentricity only adds to it.
+    added = off.pop("layshaft wheel pitch error RMS"), off.pop("main wheel pitch error RMS")
+    assert max(added) < 3.0
+    assert max(off.values()) < 1.5
+    assert sum(share < 1.0 for share in off.values()) >= 14
     # An eccentricity that is a little off takes a stretch of a wheel's edges out together.
     for name, edges, inside in box.teeth:
         assert inside >= 0.85 * edges, name
