@@ -45,15 +45,17 @@ SUPPLY_STEP_PA: Final = 1e3
 """A stroke from rest is worked out anew for another place or supply pressure of this size."""
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
-LONGER_US: Final = 4_000
 A_LITTLE_US: Final = 2_000
-"""A pulse towards neutral is longer by no more than this, out of a gear or from before the teeth,
-than the last one that the sleeve has withstood, whatever the law says: a pulse too long throws it
-through, and torque on the teeth may have taught the law."""
+"""A pulse towards neutral is longer by no more than this than the last one that the sleeve has
+withstood, whatever the law says: a pulse too long throws it through, and torque on the teeth may
+have taught the law."""
+LONGER_US: Final = 4_000
+"""By so much longer is a gear pulled for each pull of this shift that has left it in."""
 FIRST_SHARE: Final = 0.7
 TAUGHT: Final = 10
-"""The first one is no longer than the data sheet's sleeve takes; as long as the law was learned
-from fewer movements than these, no longer than this share of it."""
+"""The first one is no longer than the data sheet's sleeve takes. As long as the law was learned
+from fewer movements than these, it is no longer than this share of it, and no later pull is longer
+than one that has brought the sleeve out of the gear: the rest of the way it is pushed."""
 RUN_ON_SHARE: Final = 0.5
 CLEAR_M: Final = 1.0e-3
 REACT_US: Final = 15_000
@@ -333,10 +335,10 @@ class Sleeves:
         by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0)
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
-        first_us = min(by_law_us, max(bound_us, REACT_US))
-        if self._sleeves[sleeve].movements < TAUGHT:
-            first_us *= FIRST_SHARE
-        return max(int(first_us) + longer_us, before_us + (LONGER_US if in_gear else A_LITTLE_US))
+        is_taught = self._sleeves[sleeve].movements >= TAUGHT
+        first_us = min(by_law_us, max(bound_us, REACT_US)) * (1.0 if is_taught else FIRST_SHARE)
+        more_us = A_LITTLE_US if is_taught or not in_gear else 0
+        return max(int(first_us) + longer_us, before_us + more_us)
 
     def _pulse(
         self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0
