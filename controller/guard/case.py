@@ -186,19 +186,22 @@ class Case(NamedTuple):
         if way_m >= -GUARD_NEUTRAL_M and brakes_us == 0.0:
             return False
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
-        comes_back = end_us - self._since_us(valve, span) <= longest_pulse_us(self.limits, way_m)
+        comes_back = end_us - self._since_us(valve, span) <= self._short_us(way_m)
         return comes_back or end_us - span.start_us <= brakes_us
 
     def _runs_through(self, valve: int, span: Span) -> bool:
         """Whether this valve pulls a gear out for longer than the sheet's fastest sleeve takes to
-        come before the other gear's teeth, than this one has withstood, and than until the next
-        command can end it."""
+        come before the other gear's teeth, and than this one has withstood."""
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
-        by_sheet_us = longest_pulse_us(self.limits, self.set_off_m(valve, span))
+        by_sheet_us = self._short_us(self.set_off_m(valve, span))
         withstood_us = self.state.withstood_us.get(valve, 0) + LONGER_US
-        # It forbids nothing that no command could avoid.
-        most_us = max(by_sheet_us, withstood_us, self.limits.switch_again_us)
-        return end_us - self._since_us(valve, span) > most_us
+        return end_us - self._since_us(valve, span) > max(by_sheet_us, withstood_us)
+
+    def _short_us(self, way_m: float) -> float:
+        """A pulse that stops short, or, on the way to neutral, the shortest one that a command can
+        still end: what no command could avoid is not forbidden."""
+        least_us = float(self.limits.switch_again_us) if way_m < -GUARD_NEUTRAL_M else 0.0
+        return max(longest_pulse_us(self.limits, way_m), least_us)
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to
