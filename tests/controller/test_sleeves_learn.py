@@ -38,7 +38,7 @@ def rms(values: list[float]) -> float:
 def test_after_six_strokes_a_contact_is_known_but_for_the_valves_chance() -> None:
     errors = [learned(name, seed, 7)[1] for name in CYLINDERS for seed in SEEDS]
     assert rms([each[4] for each in errors]) < 2.0 * CHANCE_MS
-    assert rms([each[6] for each in errors]) < 1.5 * CHANCE_MS
+    assert rms([each[6] for each in errors]) < 2.0 * CHANCE_MS
 
 
 @pytest.mark.parametrize("name", CYLINDERS)
