@@ -97,6 +97,7 @@ REASONS: Final = {
     "reference.py: MOVED_MEASUREMENTS": COUNT,
     "driveline_swing.py: LEAST_EDGES": COUNT,
     "limits.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
+    "sleeves.py: REACT_US": "chance: the guard's reaction time, too",
     "own_speed.py: MEASURED_US": "chance: a window; the rig's is a deviation of the engine's lag",
     "chain_kernels.py: SPAN_US": "chance: a window; the rig's is a deviation of the engine's lag",
 }
