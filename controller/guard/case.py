@@ -182,7 +182,7 @@ class Case(NamedTuple):
         """Whether this valve is on no longer than its sleeve takes to brake, or to come back to
         neutral from before the other gear's teeth: it is off before the sleeve can come to its own
         gear's, even if the next command is the first to end it."""
-        way_m, brakes_us = self.way_m(valve), self._brakes_us(valve, span)
+        way_m, brakes_us = self.set_off_m(valve, span), self._brakes_us(valve, span)
         if way_m >= -GUARD_NEUTRAL_M and brakes_us == 0.0:
             return False
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)

@@ -299,7 +299,7 @@ class Sleeves:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
         if place.is_moving:
-            if not self._sleeves[sleeve].is_explained:
+            if self._sleeves[sleeve].is_off_its_law:
                 return None
             return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
         most_us = self._withstands_us(sleeve, direction, place.m)

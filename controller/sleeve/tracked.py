@@ -259,11 +259,17 @@ class TrackedSleeve(DrivenSleeve):
         return float(fitted.left_m[-1])
 
     @property
-    def is_explained(self) -> bool:
+    def is_off_its_law(self) -> bool:
+        """Whether it moves otherwise than any law says, by what has been seen of it."""
+        left = self._left_m
+        return len(left) >= LEAST_SAMPLES and float(np.mean(left**2)) > UNEXPLAINED_M**2
+
+    @property
+    def _is_explained(self) -> bool:
         """Whether the law explains the movement by figures that the sheet makes likely. A sleeve
         that hardly moved is held by something else."""
         left, readings = self._left_m, self.movement.readings_m
-        if len(left) < LEAST_SAMPLES or float(np.mean(left**2)) > UNEXPLAINED_M**2:
+        if len(left) < LEAST_SAMPLES or self.is_off_its_law:
             return False
         if max(abs(reading - self.rest_m) for reading in readings) < LEAST_WAY_M:
             return False
@@ -272,7 +278,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _learn(self) -> None:
         """What the movement showed is known from now on, if the law explains it."""
-        if self.is_explained:
+        if self._is_explained:
             mean, covariance = self.learned.copy(), self.joint[:PARAMETERS, :PARAMETERS]
             faded = (1.0 - FADES) * covariance + FADES * self._sheet.covariance
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
@@ -292,7 +298,7 @@ class TrackedSleeve(DrivenSleeve):
     def _meet(self, track: SleeveTrack, touched: int) -> None:
         """It comes to a gear's teeth."""
         direction = 1 if self.place_of(self.movement.readings_m[touched]) > 0.0 else -1
-        fitted, is_explained = self._way_in(direction), self.is_explained
+        fitted, is_explained = self._way_in(direction), self._is_explained
         valve = valve_towards(direction)
         fires = [one for one in self.switches if one.on and one.valve == valve]
         found = self.learned, self.late_s, self.joint

@@ -43,7 +43,8 @@ def reported(loop: Loop) -> dict[EngagementEvent, int]:
     return found
 
 
-LAST_US = 9_500_000
+TEACH = 6
+LAST_US = 1_500_000 + 4_000_000 * TEACH
 """When the last shift is asked for: the first ones teach how the sleeve moves."""
 
 
@@ -73,9 +74,10 @@ def first_braked(loop: Loop) -> tuple[int, ValveCommand]:
 def test_each_thing_happens_as_the_one_before_is_over() -> None:
     """The brake's air is let in by the step that first sees the old teeth out: a pull is a pulse
     that is over by then, so sooner nobody can say that the sleeve goes on."""
-    loop = truck([(1_500_000, 10), (5_500_000, 8), (LAST_US, 10)]).run(12_500_000)
+    before = [(1_500_000 + 4_000_000 * k, (10, 8)[k % 2]) for k in range(TEACH)]
+    loop = truck([*before, (LAST_US, 10)]).run(LAST_US + 3_000_000)
     outcome = loop.outcomes[-1]
-    assert [each.result for each in loop.outcomes] == [ShiftResult.ENGAGED] * 3
+    assert [each.result for each in loop.outcomes] == [ShiftResult.ENGAGED] * (TEACH + 1)
     assert loop.violations == 0
     at = reported(loop)
     assert 0 < at[E.RELEASED] - at[E.PLATES_PARTED] < 35_000
