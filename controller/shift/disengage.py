@@ -107,7 +107,8 @@ def _rests_after_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 def _may_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the gear is to be pulled, or pulled once more: torque on the teeth may have reversed
     since."""
-    if not _rests_after_pull(context, snapshot):
+    gear = snapshot.view.main_gear
+    if gear is None or not (_rests_after_pull(context, snapshot) and context.sleeves.rests(gear)):
         return False
     context.running.pulls += 1
     context.references.released()

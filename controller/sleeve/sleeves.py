@@ -315,6 +315,10 @@ class Sleeves:
         moves_us = SECOND_US * float(self._sleeves[side.sleeve].known.mean[ON + side.valve])
         return moves_us, self._valve_us + self._least_out_us
 
+    def rests(self, gear: MainGear) -> bool:
+        """Whether a gear's sleeve stands, and what its last movement showed has been learned."""
+        return self._sleeves[_SIDES[gear].sleeve].rests
+
     def pull_out(self, gear: MainGear, on_us: int, in_vain: int = 0) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral: a longer
         one for each pull in vain, a shorter one where that may throw it through."""
