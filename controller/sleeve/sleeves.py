@@ -290,20 +290,22 @@ class Sleeves:
         the teeth or between unloaded ones, against its motion where it would fly past. None where
         it comes to rest there by itself, moves otherwise than the law says, or falls short and does
         not stand yet: two pulses in a row could throw it to the other gear."""
-        rests_m = rests_at_m(self._sleeves[sleeve], at_us)
+        tracked = self._sleeves[sleeve]
+        # One that stands stays, whatever pull of its detent the law takes it for.
+        stands, stands_m = tracked.stands, tracked.place_of(tracked.rest_m)
+        rests_m = stands_m if stands else rests_at_m(tracked, at_us)
         direction = 1 if rests_m < 0.0 else -1
         place = self.place(sleeve, at_us)
-        if abs(rests_m) < NEAR_NEUTRAL_M or direction * place.speed_m_s > 0.0:
+        if abs(rests_m) < NEAR_NEUTRAL_M:
             return None
-        if not place.is_moving and not self._sleeves[sleeve].rests:
+        if stands:
+            most_us = self._withstands_us(sleeve, direction, stands_m)
+            return self._pulse(sleeve, at_us, direction, most_us)
+        flies_past = place.is_moving and direction * place.speed_m_s < 0.0
+        if not flies_past or tracked.is_off_its_law:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
-        if place.is_moving:
-            if self._sleeves[sleeve].is_off_its_law:
-                return None
-            return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
-        most_us = self._withstands_us(sleeve, direction, place.m)
-        return self._pulse(sleeve, at_us, direction, most_us)
+        return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and

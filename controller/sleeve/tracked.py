@@ -171,6 +171,11 @@ class TrackedSleeve(DrivenSleeve):
         self.rests = self.is_free = True
 
     @property
+    def stands(self) -> bool:
+        """Whether it rests and no valve is to move it."""
+        return self.rests and not self.switches
+
+    @property
     def last_switch_us(self) -> int:
         """When a valve of it last switches, as far as commanded."""
         return max((one.time_us for one in self.switches), default=self._switched_us)
