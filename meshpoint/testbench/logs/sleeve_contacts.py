@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.dbc.messages import Message, SleevesAux, SleevesMain, ValveStatus
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
@@ -88,8 +89,8 @@ class _Side:
         level_m = self._levels_m[len(self._passed_us)]
         while before[0] < level_m <= way_m:
             share = (level_m - before[0]) / (way_m - before[0])
-            passed_us = round(before[1] + share * span_us(time_us, before[1]))
-            self._passed_us.append(passed_us & 0xFFFF_FFFF)
+            passed_us = before[1] + share * span_us(time_us, before[1])
+            self._passed_us.append(wrap(round(passed_us)))
             if len(self._passed_us) == len(self._levels_m):
                 a_us, b_us, c_us = self._passed_us
                 is_tooth = span_us(c_us, b_us) > SLOWER * span_us(b_us, a_us)
