@@ -83,9 +83,12 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
         return
     if command.on and command.time_us <= snapshot.earliest_us < command.until_us:
         return  # under way
-    if (command.on and command.time_us > snapshot.earliest_us) or _may_pull(context, snapshot):
+    is_ahead = command.on and command.time_us > snapshot.earliest_us
+    if is_ahead or _may_pull(context, snapshot):
         pulse = context.sleeves.pull_out(gear, unloaded_us, max(0, shift.pulls - 1))
         pulse = ends_in_time(context, snapshot, pulse)
+        if is_ahead and unloaded_us <= command.time_us <= pulse.on_us:
+            return  # each step would put it off once more
         context.board.pulse(valve, pulse.on_us, pulse.off_us, now_us)
         shift.pull_again_us = pulse.off_us + PULL_PAUSE_US
 

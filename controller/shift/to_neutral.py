@@ -14,7 +14,7 @@ from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.sleeve.answers import Pulse
 from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
-from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, Sleeve
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, Sleeve
 
 CLEAR_M: Final = 1.0e-3
 """A sleeve this far before a gear's teeth has none between them."""
@@ -54,6 +54,7 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
     the other. Whether that is still under way.
 
     stands: only a sleeve that stands is moved; else one that flies past is braked, too."""
+    _take_back(context, snapshot)
     if not context.main_valves_rest(snapshot.now_us) or (stands and _moves(context, snapshot)):
         return True
     for sleeve in MAIN_SLEEVES:
@@ -69,6 +70,16 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
                 context.shift.is_braked = _brakes(context, pulse)
             return True
     return _moves(context, snapshot)
+
+
+def _take_back(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """A push is taken back where the sleeve goes by itself before the valve can have moved it: its
+    detent may win over friction once the chambers are empty."""
+    for gear in MAIN_GEARS:
+        valve, sleeve = SLEEVE_VALVE[gear], SLEEVE_OF_MAIN[gear].sleeve
+        is_pushed = not context.board.command(valve).rests(snapshot.now_us)
+        if is_pushed and context.sleeves.rests(gear) and not snapshot.view.rests(sleeve):
+            context.board.off(valve)
 
 
 def ends_in_time(context: ShiftContext, snapshot: StepSnapshot, pulse: Pulse) -> Pulse:
