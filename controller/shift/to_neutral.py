@@ -54,7 +54,7 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
     the other. Whether that is still under way.
 
     stands: only a sleeve that stands is moved; else one that flies past is braked, too."""
-    _take_back(context, snapshot)
+    _withdraw_push(context, snapshot)
     if not context.main_valves_rest(snapshot.now_us) or (stands and _moves(context, snapshot)):
         return True
     for sleeve in MAIN_SLEEVES:
@@ -72,8 +72,8 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
     return _moves(context, snapshot)
 
 
-def _take_back(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """A push is taken back where the sleeve goes by itself before the valve can have moved it: its
+def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """A push is withdrawn where the sleeve goes by itself before the valve can have moved it: its
     detent may win over friction once the chambers are empty."""
     for gear in MAIN_GEARS:
         valve, sleeve = SLEEVE_VALVE[gear], SLEEVE_OF_MAIN[gear].sleeve
