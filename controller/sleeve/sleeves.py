@@ -56,6 +56,9 @@ TAUGHT: Final = 10
 """The first one is no longer than the data sheet's sleeve takes. As long as the law was learned
 from fewer movements than these, it is no longer than this share of it, and no later pull is longer
 than one that has brought the sleeve out of the gear: the rest of the way it is pushed."""
+SURE_SDS: Final = 3.0
+"""A pulse towards neutral throws no sleeve through where its valve makes it longer by this many
+standard deviations."""
 RUN_ON_SHARE: Final = 0.5
 CLEAR_M: Final = 1.0e-3
 REACT_US: Final = 15_000
@@ -305,7 +308,7 @@ class Sleeves:
         if not flies_past or tracked.is_off_its_law:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
-        return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US)
+        return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US, sure_sds=0.0)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and
@@ -347,10 +350,12 @@ class Sleeves:
         return max(int(first_us) + longer_us, before_us + more_us)
 
     def _pulse(
-        self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0
-    ) -> Pulse:
+        self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0,
+        sure_sds: float = SURE_SDS,
+    ) -> Pulse:  # fmt: skip
         tracked = self._sleeves[sleeve]
-        long_us = min(most_us, pulse_to_neutral_us(tracked, direction, on_us) + longer_us)
+        by_law_us = pulse_to_neutral_us(tracked, direction, on_us, sure_sds)
+        long_us = min(most_us, by_law_us + longer_us)
         rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.sleeve.driven import DrivenSleeve
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw
+from meshpoint.controller.sleeve.sleeves import SURE_SDS, Sleeves
+from meshpoint.controller.sleeve.to_rest import pulse_of, pulse_to_neutral_us, rests_at_m
 from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
@@ -98,3 +103,23 @@ def test_a_sleeve_that_flies_on_is_braked_and_not_sent_back() -> None:
     assert braking is not None
     assert braking.valve is OPPOSITE[gear]
     assert 5_000 < braking.off_us - braking.on_us <= 15_000
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize("from_mm", [12.0, 4.0])
+def test_a_pulse_to_neutral_throws_no_sleeve_through_where_its_valve_shuts_late(
+    direction: int, from_mm: float
+) -> None:
+    """What falls short is pushed once more; what is thrown through may meet turning teeth."""
+    law = SleeveLaw(SHEET)
+    sheet = law.prior(SHEET)
+    known = Prior(sheet.mean, 0.04 * sheet.covariance)  # after some movements
+    sleeve = DrivenSleeve(law, known).at_rest(-direction * 1e-3 * from_mm)
+    sleeve.switch_sd_s = [1.6e-3, 1.6e-3]
+    long_us = pulse_to_neutral_us(sleeve, direction, NOW_US, SURE_SDS)
+    pulse = pulse_of(direction, NOW_US, long_us)
+    late_us = int(1e6 * SURE_SDS * math.hypot(*map(sleeve.sd_of, pulse)))
+    beyond_m = direction * rests_at_m(
+        sleeve, NOW_US, pulse_of(direction, NOW_US, long_us + late_us)
+    )
+    assert beyond_m < 1.1e-3  # its detent has it
