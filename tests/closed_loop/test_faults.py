@@ -78,7 +78,7 @@ edge frames frozen         | 8-10 | synchronising  | frozen_payload 0     | neut
 slow sensors frozen        | 8-10 | in_gear        | frozen_payload 1     | old clutch_stuck in_gear
 position frozen in gear    | 8-10 | in_gear        | position_frozen 0    | old disengage_failed in_gear
 position frozen in neutral | 8-10 | coasting       | position_frozen 0    | neutral engage_failed neutral
-position lies by 3 mm      | 8-10 | clutch_opening | position_offset 0 3  | between disengage_failed faulted
+position lies by 3 mm      | 8-10 | clutch_opening | position_offset 0 3  | in none in_gear
 the other position lies    | 8-10 | synchronising  | position_offset 1 3  | between disengage_failed faulted
 """  # noqa: E501
 """Name, shift, state struck in, fault with target, value and ms; result, fault code, last state."""
