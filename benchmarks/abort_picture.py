@@ -143,7 +143,7 @@ def watched_shift() -> Seen:
         if row.contact == "gap" and row.aborts == 1 and abs(row.halt_mm or 0.0) > OUT_MM:
             every = [np.array(values) for values in zip(*rig.samples, strict=True)]
             return _cut(row, rig.sheet, dict(zip(Sample._fields, every, strict=True)))
-    raise SystemExit("no sleeve that is stopped and fired again")
+    raise SystemExit(f"in {len(SHIFTS)} shifts no sleeve was stopped and fired again")
 
 
 def _cut(row: ShiftRow, sheet: GearboxSheet, samples: dict[str, Vector]) -> Seen:
@@ -152,8 +152,8 @@ def _cut(row: ShiftRow, sheet: GearboxSheet, samples: dict[str, Vector]) -> Seen
     fired, again = us[_turns(samples["towards_coil"], on=True)][-2:]
     aborted = _last_before(us[_turns(samples["towards_coil"], on=False)], again)
     held = _last_before(us[_turns(samples["against_coil"], on=False)], again)
-    assert row.contact_us is not None
-    assert fired < aborted < held
+    if row.contact_us is None or not fired < aborted < held:
+        raise SystemExit(f"no sleeve that is stopped and fired again: {row}")
     contact = us[np.flatnonzero(us % 2**32 <= row.contact_us)[-1]]
     drawn = (us > fired - 1e3 * BEFORE_MS) & (us < contact + 1e3 * AFTER_MS)
     missed = samples["contact_us"][np.flatnonzero(us >= fired)[0]]
