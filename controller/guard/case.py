@@ -200,8 +200,10 @@ class Case(NamedTuple):
     def _short_us(self, way_m: float) -> float:
         """A pulse that stops short, or, on the way to neutral, the shortest one that a command can
         still end: what no command could avoid is not forbidden."""
-        least_us = float(self.limits.switch_again_us) if way_m < -GUARD_NEUTRAL_M else 0.0
-        return max(longest_pulse_us(self.limits, way_m), least_us)
+        short_us = longest_pulse_us(self.limits, way_m)
+        if way_m < -GUARD_NEUTRAL_M:
+            return max(short_us, float(self.limits.switch_again_us))
+        return short_us
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

@@ -141,6 +141,16 @@ def test_after_a_short_push_it_brakes_as_long_as_it_stops_short_by_itself(
     assert row(guard, at(25), {FIRST: (OFF_AT, 22 + off_ms)}) == forbidden
 
 
+@pytest.mark.parametrize(("way_mm", "forbidden"), [(1.5, 3), (1.501, None)])
+def test_out_of_neutral_it_brakes_as_long_as_it_takes_a_command_to_end_it(
+    way_mm: float, forbidden: int | None
+) -> None:
+    """14.95 ms: more than the 14.88 after which it stops short by itself, less than 15."""
+    guard = fired(on_ms=8.0)
+    assert row(guard, at(20, way_mm), {FIRST: (ON_AT, 22)}) is None
+    assert row(guard, at(25, way_mm), {FIRST: (OFF_AT, 36.95)}) == forbidden
+
+
 def test_a_sleeve_fired_again_in_flight_is_aborted_again() -> None:
     """Each push has lasted longer than its brake: 16 ms against 12."""
     guard = aborted()
