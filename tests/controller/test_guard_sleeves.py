@@ -191,7 +191,7 @@ def test_a_valve_that_has_nothing_left_to_brake_is_on_anew_and_needs_air() -> No
 def test_both_valves_of_an_aborted_sleeve_are_never_on_together() -> None:
     assert row(fired(), at(20), {SECOND: (ON_AT, 4), FIRST: (ON_AT, 22)}) == 1
     assert row(fired(), at(20), {SECOND: (OFF_AT, 30), FIRST: (ON_AT, 29)}) == 1
-    assert row(fired(), at(20), {SECOND: (OFF_AT, 30), FIRST: (ON_AT, 32)}) != 1
+    assert row(fired(), at(20), {SECOND: (OFF_AT, 30), FIRST: (ON_AT, 30)}) != 1
 
 
 def test_what_has_been_set_going_is_braked_with_little_air_as_well() -> None:
@@ -615,7 +615,7 @@ def test_row_20_the_way_back_is_free_and_ends_it() -> None:
 
 
 def test_row_20_what_is_under_way_goes_on_and_what_waits_does_not() -> None:
-    for on_ms, forbidden in ((595.0, None), (620.0, 20)):
+    for on_ms, forbidden in ((595.0, None), (601.0, None), (620.0, 20)):
         guard = standing(3.0)
         assert row(guard, at(590, 3.0), {SECOND: (ON_AT, on_ms)}) is None
         assert row(guard, at(601, 3.0), {SECOND: (ON_AT, on_ms)}) == forbidden
@@ -683,5 +683,7 @@ def test_row_2_of_two_sleeves_before_their_teeth_one_after_the_other_is_brought_
     for other_mm, forbidden in ((4.8, None), (-4.8, None), (4.81, 2), (12.0, 2)):
         seen = place(at(30, 3.0), 1, 1e-3 * other_mm)
         assert row(unasked(), seen, {FIRST: (ON_AT, 32)}) == forbidden
+        seen = place(at(30, other_mm), 1, 3e-3)
+        assert row(unasked(), seen, {CRAWL: (ON_AT, 32)}) == forbidden
     both = place(at(30, 3.0), 1, 3e-3)
     assert row(ready(), both, {SECOND: (ON_AT, 35)}) == 2
