@@ -22,22 +22,22 @@ from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.phase.reference_recovery import SavedReferences
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
-from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.shift.context import ShiftContext
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox.gears import MAIN_GEARS
 
 
 class Learns(Protocol):
     """Who learns from shifts."""
 
-    delays: SleeveDelays
+    sleeves: Sleeves
     drifts: PhaseDrifts
 
 
 def restore(calibration: Calibration, observer: Observer, context: Learns) -> None:
     """Starts with what earlier runs learned. Teeth and phase references are memories until the
-    wheels show which tooth is which; the baseline estimators take delays and drifts alone."""
-    context.delays.restore(calibration.sleeves)
+    wheels show which tooth is which; the baseline estimators take sleeves and drifts alone."""
+    context.sleeves.restore(calibration.sleeves, calibration.sleeve_laws)
     context.drifts.restore(calibration.drifts)
     recovery = observer.recovery
     if recovery is None:
@@ -89,7 +89,8 @@ def collect(
         brake=brake,
         noise=noise,
         swings=swings,
-        sleeves=context.delays.records(),
+        sleeves=context.sleeves.records(),
+        sleeve_laws=context.sleeves.laws(),
         drifts=context.drifts.records(),
         end=End(complete=True),
     )

@@ -27,7 +27,7 @@ from meshpoint.controller.guard.view import GuardInputs, GuardView
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.observer import Observer
-from meshpoint.controller.report.log_lines import decision_line
+from meshpoint.controller.report.log_lines import decision_line, outcome_line
 from meshpoint.controller.report.reporter import Reporter
 from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.refused_lead import RefusedLead
@@ -180,7 +180,7 @@ class ControllerCore:
         self._settings, self._speeds = follower.header.settings, follower.speeds
         self._observer = follower.observer
         sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.brake, sequence.delays = follower.brake, follower.delays
+        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
         if not keeps_drifts:
             sequence.drifts = follower.drifts
         sequence.change_settings(self._settings)
@@ -302,6 +302,7 @@ class ControllerCore:
             None if engine is None else engine.engine_speed_rad_s,
             *torque,
             is_self_tested=self._guard.is_proven,
+            more_lead_us=self._refused.more_us,
         )
 
     @property
@@ -354,12 +355,8 @@ class ControllerCore:
         if sequence.state is not before:
             events.append(f"{before.name.lower()} -> {sequence.state.name.lower()}")
         if sequence.finished is not None:
-            shift = sequence.finished
             self.shifts += 1
-            events.append(
-                f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
-                f", {shift.attempts} fired, fault {shift.fault.name.lower()}"
-            )
+            events.append(outcome_line(sequence.finished))
 
     def _log_decision(self, snapshot: StepSnapshot, events: list[str]) -> None:
         """A log line if the decision differs from the one before."""
@@ -381,6 +378,7 @@ class ControllerCore:
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)
             frame = self._transmitter.instead(ValveCommand())
+        sequence.tell_sleeves(snapshot.now_us)
         if not guard.is_armed:
             return [frame]
         return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]

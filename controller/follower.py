@@ -3,24 +3,25 @@
 A replay with other settings, calibration, estimator or data sheet needs estimates that know the
 recorded trajectory from the start of the run. The follower consumes the frames that the first
 controller consumes, with that one's brake commands for its filters; it decides nothing. What a
-sequence learns from its own shifts (delays, the flank on which a gear locks) it learns from the
-first one's.
+sequence learns from its own shifts (the flank on which a gear locks) it learns from the first
+one's.
 """
 
 from __future__ import annotations
+
+import math
 
 from meshpoint.controller.carry_over import restore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
-from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.node import Node
@@ -35,13 +36,12 @@ class Follower:
         self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
         self.observer = Observer(sheet, settings, self.brake, settings.estimator)
         self.speeds = ShaftSpeeds(sheet)
-        self.delays = SleeveDelays(sheet)
+        self.sleeves = Sleeves(sheet)
         self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         """As the calibration has them: they are learned from predictions of its own firings."""
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._probe = ClockProbe()
         self._watched: object = None
-        self._learned: tuple[int, int] | None = None
         if header.calibration is not None:
             restore(header.calibration, self.observer, self)
 
@@ -65,7 +65,10 @@ class Follower:
         observer.take(inputs, now_us, events)
         self.speeds.take(inputs, observer.clock.now_us(now_us))
         snapshot = self._snapshot(now_us, seen)
-        self._learn_from(first)
+        if math.isfinite(snapshot.supply_pa):
+            self.sleeves.supply_pa = snapshot.supply_pa - self.header.sheet.air.atmosphere_pa
+        self.sleeves.take(observer.view, snapshot.now_us)
+        self._learn_from(first, snapshot.now_us)
         observer.learn(events)
         self._probe.plan(now_us, None)
         return snapshot
@@ -85,22 +88,11 @@ class Follower:
             observer.view.supply_pa,
         )
 
-    def _learn_from(self, first: ShiftSequence) -> None:
-        """The first controller's brake commands, its contact, and its lock."""
+    def _learn_from(self, first: ShiftSequence, now_us: int) -> None:
+        """The first controller's valve commands and its lock."""
         self.brake.follow(first.brake)
-        record = first.shift or first.finished
-        if record is not None:
-            self._learn_delay(record)
+        first.board.say_to(self.sleeves, now_us)
         watched = first.references.watched
         if watched is not None and watched is not self._watched:
             self.observer.references.locked(watched.gear, float(watched.flank), watched.straight)
         self._watched = watched
-
-    def _learn_delay(self, record: ShiftRecord) -> None:
-        contact_us, plan = record.measured_contact_us, record.plan
-        if contact_us is None or plan is None:
-            return
-        key = record.request_us, record.attempts
-        if key != self._learned:
-            self._learned = key
-            self.delays.learn(record.target.main, contact_us - plan.fire_us)

@@ -203,6 +203,10 @@ class GuardSettings:
     """The most energy of one use of the brake."""
     brake_floor_rad_s: float = quantity("brake_floor_rpm", 0.0, 1000.0, RPM, default=100.0 * RPM)
     """The brake never takes the layshaft below this speed."""
+    before_teeth_ms: int = count("before_teeth_ms", 100, 10000, default=500)
+    """For so long a main sleeve may stand between neutral and a gear's teeth, held by its friction
+    alone: time for several gaps to pass, and little for the road to shake it on. Then it may only
+    go back."""
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.0e5)
     """Absolute pressure below which nothing new is actuated."""
     torque_factor: float = quantity("torque_factor", 1.0, 3.0, default=1.4)

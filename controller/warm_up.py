@@ -39,6 +39,7 @@ from meshpoint.controller.records import WORD_BYTES, RecordMemory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.sleeve import cylinder
 from meshpoint.kernel_watch import uncollected
 
 
@@ -49,6 +50,7 @@ def warm_up(baselines: bool = False) -> None:
         edge_kernels.warm_up()
         edge_gate.warm_up()
         plan_kernels.warm_up()
+        cylinder.warm_up()
         _warm_up_crossing()
         _warm_up_swing()
         if baselines:

@@ -30,6 +30,7 @@ class ControllerState(IntEnum):
     CLUTCH_PARTING = 12
     FAULTED = 13
     SPLITTER_CHANGING = 14
+    HALTED = 15
 
 class Strategy(IntEnum):
     SPEED_WINDOW = 0
@@ -137,6 +138,11 @@ class RigFault(IntEnum):
     NODE_RESTART = 17
     NODE_STALLED = 18
     WHEEL_FACTOR = 19
+    VALVE_SLOW_ON = 20
+    VALVE_SLOW_OFF = 21
+    VALVE_LEAKS = 22
+    SLEEVE_STIFF = 23
+    SLEEVE_HEAVY = 24
 
 class BenchAction(IntEnum):
     IDLE = 0
@@ -1038,6 +1044,12 @@ class ShiftOutcome(NamedTuple):
     reference_source: ReferenceSource = ...
     """Where the reference came from when the sleeve was fired: measured in mesh, restored with the
     tooth numbers, or narrowed by other gears in mesh."""
+
+    aborts: int = ...
+    """Times a sleeve on its way was stopped short of the teeth (0..255)."""
+
+    halt_position_m: float = ...
+    """Where the sleeve stood after the last abort, from neutral; 0 without one (-0.02..0.02)."""
 
 class TC1(NamedTuple):
     """J1939-71 Transmission Control 1, PGN 256, to the transmission: the bench asks for a gear.

@@ -32,8 +32,8 @@ def test_no_fault_was_active(shift):
     assert shift.fault == "none"
 
 
-def test_one_attempt_was_enough(shift):
-    assert shift.attempts == 1
+def test_one_attempt_was_enough_and_the_sleeve_was_not_stopped_on_its_way(shift):
+    assert (shift.attempts, shift.aborts) == (1, 0)
 
 
 def test_the_contact_is_a_tooth_or_a_gap(shift):

@@ -43,7 +43,7 @@ outside() {
         say 'this takes about a minute; the first run after installing two, as it compiles'
         "$here/../tools/with-vcan" --timeout 600 "$here/vcan.sh" "$gear" "$folder"
     else
-        say 'this takes about 3 minutes, beside much other work up to 15: the machine is emulated'
+        say 'this takes about 4 minutes, beside much other work up to 15: the machine is emulated'
         say 'nothing is seen while it boots: a fifth of that time'
         # The emulated processor is another one, and would compile for an hour.
         export NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES='' NUMBA_CACHE_DIR=$folder/kernels

@@ -18,6 +18,10 @@ BAR: Final = 1e5
 """`Pa` in a bar."""
 MM: Final = 1e-3
 """`m` in a millimetre."""
+CM2: Final = 1e-4
+"""`m2` in a square centimetre."""
+CM3: Final = 1e-6
+"""`m3` in a cubic centimetre."""
 MS: Final = 1e-3
 """`s` in a millisecond."""
 US: Final = 1e-6

@@ -1,7 +1,8 @@
 """Beyond the thesis (1.3): what other hardware would buy.
 
 On the truck, sensor errors included, in closed loop: the phase error at contact, how many contacts
-are in a gap, and the estimate of the layshaft from neutral to contact.
+are in a gap, and the estimate of the layshaft from neutral to contact. Valves, parked sleeves and
+rings on the wheels are judged by campaigns (`hardware_trucks`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
+from benchmarks.studies import hardware_trucks
 from benchmarks.studies.excitation import Figures, figures
+from benchmarks.studies.hardware_trucks import Trucks
 from benchmarks.studies.jobs import AsBuilt, LoopJob, LoopResult, Scores
 from benchmarks.studies.record import (
     Chart,
@@ -32,7 +35,7 @@ from benchmarks.studies.record import (
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.tables import count, quantity
+from meshpoint.gearbox.tables import count, group, quantity
 from meshpoint.rig_sim.settings import Preset
 
 BASE = "as the data sheet"
@@ -52,6 +55,7 @@ class Settings:
     shifts: int = count("shifts", 2, 10_000)
     learning_shifts: int = count("learning_shifts", 0, 1000)
     """Of each gearbox, that do not count: the controller learns teeth, brake and delays."""
+    trucks: Trucks = group(Trucks)
 
 
 class Variant(NamedTuple):
@@ -121,11 +125,12 @@ def _run(given: Given[Settings], variant: Variant, number: int) -> LoopJob:
 
 
 def _jobs(given: Given[Settings]) -> tuple[StudyJob, ...]:
-    return tuple(
+    sensors = tuple(
         _run(given, variant, number)
         for variant in _variants(given).values()
         for number in range(given.own.gearboxes)
     )
+    return (*sensors, *hardware_trucks.jobs(given))
 
 
 def _bought(given: Given[Settings], variant: Variant) -> Bought:
@@ -173,7 +178,13 @@ def _conclude(given: Given[Settings]) -> Finding:
         for name, b in bought.items()
     )
     table = Table("variants", "What each would buy", columns, rows)
-    return Finding(statements, values, (_chart(bought),), (table,))
+    trucks = hardware_trucks.compared(given)
+    return Finding(
+        (*statements, *trucks.statements),
+        values | {"trucks": trucks.values},
+        (_chart(bought), trucks.chart),
+        (table, trucks.table),
+    )
 
 
 REASONS = {

@@ -12,14 +12,17 @@ import numpy as np
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.gearbox.sheet import Wheel
 from meshpoint.rig_sim.parts.drag import thickening
 from meshpoint.rig_sim.parts.pneumatics import choked_rate, flow_share
 from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN
 from meshpoint.rig_sim.truck.as_built import AsBuilt, as_built_sheet, draw_as_built
 from meshpoint.rig_sim.truck.constants import CELSIUS, FADE_FROM_C
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.edges import WheelAsMade
+from meshpoint.rig_sim.truck.sleeve_valves import SleeveValves
 from meshpoint.testbench.campaign.draw import LAYSHAFT_RPM, draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.identify.identified import Identified
@@ -28,7 +31,7 @@ from meshpoint.testbench.identify.log_reader import LogContent, LogReader
 from meshpoint.testbench.identify.sleeve_fit import sleeve_fit
 from meshpoint.testbench.identify.tooth_fit import ToothFit, wheel_figures
 from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.units import BAR, DEG, MS, RPM
+from meshpoint.units import DEG, MS, RPM, US
 
 SHIFTS_STREAM: Final = 0x1D
 START_US: Final = 10_000_000
@@ -197,29 +200,41 @@ class _Truth:
         return steps * STEP_S
 
     def _sleeves(self) -> dict[str, float]:
-        """Means at the log's supply pressure as it is, after the rests that the log shows."""
+        """Means at the data sheet's supply pressure, after the rests that the log shows."""
         built = self._built
-        delays = TruckDelays(np.random.Generator(np.random.PCG64(0)), self._real, built)
-        fitted = sleeve_fit(self._content.strokes, self._sheet)
+        rng = np.random.Generator(np.random.PCG64(0))
+        valves = SleeveValves(TruckDelays(rng, self._real, built), self._real, built)
+        fitted = sleeve_fit(self._content)
         if fitted is None:
             return {}
-        offset_pa = built["pressure.supply_offset_bar"] * BAR
-        gauge = fitted.supply_pa - offset_pa - self._sheet.air.atmosphere_pa
+        supply_pa = self._sheet.air.supply_gauge_pa + self._sheet.air.atmosphere_pa
         found, variances = {}, []
         for gear in fitted.delays_s:
             late = np.array(self._stuck_s(gear))
-            found[f"sleeve delay {gear.name.lower()}"] = (
-                delays.mean_gear_s(gear, gauge) + float(late.mean())
-            ) / MS
+            mean_s = valves.mean_s(VALVE_OF_MAIN[gear], on=True)
+            mean_s += valves.stroke_s(gear, supply_pa)
+            found[f"sleeve delay {gear.name.lower()}"] = (mean_s + float(late.mean())) / MS
             variances += [float(late.var())] * late.size
         noise, limit = built["sleeve.noise_sd_ms"], built["sleeve.noise_limit_ms"]
         spread = _cut_sd(noise, limit) ** 2 + float(np.mean(variances)) / MS**2
         return found | {"sleeve delay spread": math.sqrt(spread)}
 
     def _stuck_s(self, gear: MainGear) -> list[float]:
-        """What the rest before each stroke into a gear added."""
+        """What the rest of its valve before each stroke into a gear added; the log shows the
+        sleeve's, which is taken for it."""
         most_s, tau_s = self._built["sleeve.stiction_ms"] * MS, self._built["sleeve.stiction_s"]
-        rests = [stroke.rested_s for stroke in self._content.strokes if stroke.gear is gear]
+        sleeve = SLEEVE_OF_MAIN[gear].sleeve
+        fired: list[tuple[MainGear, int]] = [
+            (at, one.fired_us)
+            for at, one in self._content.contacts
+            if SLEEVE_OF_MAIN[at].sleeve is sleeve
+        ]
+        before_us = [None, *(fired_us for _, fired_us in fired)]
+        rests = [
+            None if before is None else (fired_us - before) * US
+            for before, (at, fired_us) in zip(before_us, fired, strict=False)
+            if at is gear
+        ]
         return [most_s if rest is None else -most_s * math.expm1(-rest / tau_s) for rest in rests]
 
     def _of_wheels(self) -> dict[str, float]:

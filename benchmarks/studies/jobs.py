@@ -26,7 +26,7 @@ from meshpoint.testbench.results.rows import ShiftRow
 
 AsBuilt = tuple[tuple[str, float], ...]
 """As-built values that are fixed, by name; the rest is drawn from the seed."""
-ENGAGEMENT: Final = ("dog.", "sleeve.entry_law")
+ENGAGEMENT: Final = ("dog.", "sleeve.model")
 OUTCOME_ID: Final = CODECS["ShiftOutcome"].spec.can_id
 SENSORS_ID: Final = CODECS["GearboxSensors"].spec.can_id
 

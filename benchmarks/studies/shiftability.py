@@ -88,7 +88,7 @@ def _variants(given: Given[Settings]) -> dict[str, tuple[GearboxSheet, AsBuilt]]
 
 def _teeth(overlap_mm: float) -> AsBuilt:
     """A sleeve of constant axial speed, that of the sheet."""
-    return (("dog.overlap_mm", overlap_mm), ("sleeve.entry_law", 0.0))
+    return (("dog.overlap_mm", overlap_mm), ("sleeve.model", 0.0))
 
 
 def _jobs(given: Given[Settings]) -> tuple[Engagements, ...]:

@@ -12,13 +12,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, ControllerState, RigFault
 from meshpoint.rig_sim.orders import FaultOrder
 
 OPEN, CLOSE = ClutchAction.OPEN, ClutchAction.CLOSE
 V, State = ValveName, ControllerState
 RANDOM_EVERY_US: Final = 60_000
+TO_AND_FRO_US: Final = 20_000
 
 
 class Wish(NamedTuple):
@@ -75,6 +76,11 @@ def _swing(since_us: int, _: int) -> Wish:
     return Wish(frozenset((V.SPLIT_LOW if since_us // 120_000 % 2 == 0 else V.SPLIT_HIGH,)))
 
 
+def _to_and_fro(since_us: int, _: int) -> Wish:
+    """A sleeve is thrown to and fro, each time as long as braking it takes."""
+    return Wish(frozenset((V.MAIN_SECOND if since_us // TO_AND_FRO_US % 2 == 0 else V.MAIN_FIRST,)))
+
+
 def _random(since_us: int, seed: int) -> Wish:
     """Something else every 60 ms."""
     rng = np.random.Generator(np.random.PCG64([seed, since_us // RANDOM_EVERY_US]))
@@ -122,5 +128,10 @@ DEEDS: Final[dict[str, Deed]] = {
     "mad_unasked": Deed(17, _drive(V.MAIN_CRAWL, after_us=200_000), asked=False, start_gear=5),
     "mad_swinging": Deed(18, _swing),
     "mad_clock": Deed(19, _drive(V.SPLIT_HIGH), clock_error_us=-30_000),
+    "mad_waiting_before_teeth": Deed(
+        20, _drive(V.SPLIT_LOW, after_us=900_000), begins=NEUTRAL,
+        fault=_fault(RigFault.POSITION_OFFSET, 0, 3.0, 2500),
+    ),
+    "mad_to_and_fro": Deed(3, _to_and_fro, begins=NEUTRAL),
     "mad_random": Deed(0, _random, begins=None),
 }  # fmt: skip

@@ -16,7 +16,9 @@ from benchmarks.swarm.events import (
     Group,
     World,
 )
+from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.rig_sim.truck.faults import KINDS
 
 FIRST_MS: Final = 300
 """Nothing is asked for sooner, but a deed may begin with the first step."""
@@ -38,6 +40,11 @@ VALUES: Final[dict[str, tuple[float, float]]] = {
     "hall_missing_tooth": (0.0, 39.0),
     "hall_noise_burst": (1.0, 8.0),
     "valve_slow": (5.0, 80.0),
+    "valve_slow_on": (5.0, 80.0),
+    "valve_slow_off": (5.0, 80.0),
+    "valve_leaks": (1.0, 50.0),
+    "sleeve_stiff": (10.0, 400.0),
+    "sleeve_heavy": (10.0, 200.0),
     "supply_drop": (2.0, 7.0),
     "position_offset": (-14.0, 14.0),
     "brake_fade": (0.0, 80.0),
@@ -53,11 +60,6 @@ VALUES: Final[dict[str, tuple[float, float]]] = {
     "bus_own_identifier": (1.0, 20.0),
 }
 """Least and most of a kind's value."""
-RIG_TARGETS: Final = {
-    "hall_dropout": 8, "hall_missing_tooth": 8, "hall_double_edge": 8, "hall_noise_burst": 8,
-    "valve_stuck": 9, "valve_slow": 9, "sleeve_jammed": 4, "position_offset": 4,
-    "position_frozen": 4, "frozen_payload": 2, "wheel_factor": 4,
-}  # fmt: skip
 
 
 def draw_world(seed: int) -> World:
@@ -93,17 +95,25 @@ def _faults(rng: np.random.Generator, safety_ms: int) -> list[Event]:
             if low > 0.0
             else float(rng.uniform(low, high))
         )
-        targets = RIG_TARGETS.get(kind, len(Group) if kind in BUS_KINDS else 1)
+        first, targets = _targets(kind)
         events.append(
             Event(
                 int(rng.integers(FIRST_MS, safety_ms - 1_000)),
                 kind,
-                int(rng.integers(targets)),
+                first + int(rng.integers(targets)),
                 round(value, 3),
                 int(np.exp(rng.uniform(np.log(30.0), np.log(3_000.0)))),
             )
         )
     return events
+
+
+def _targets(kind: str) -> tuple[int, int]:
+    """The lowest target of a kind, and how many it has."""
+    if kind in RIG_KINDS:
+        described = KINDS[RigFault[kind.upper()]]
+        return described.first, max(described.targets, 1)
+    return 0, len(Group) if kind in BUS_KINDS else 1
 
 
 def _requests(rng: np.random.Generator, gear: int, safety_ms: int) -> list[Event]:

@@ -39,7 +39,7 @@ protected)."""
 AHEAD_US: Final = 60_000
 """Samples may be 40 ms old to be valid, and a cycle is sent after its samples."""
 LIES: Final = frozenset({"position_offset", "position_frozen", "frozen_payload"})
-SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow"})
+SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow", "valve_slow_on", "valve_slow_off"})
 REACT_US: Final = 30_000
 """From a sleeve that the bench moves until a brake that was on before is off: what the sensors show
 late, a tick, and the way of the command."""

@@ -56,7 +56,15 @@ NAMED: Final = (
     *(_N("wheel_factor", wheel, factor, state=State.IN_GEAR, asked_ms=1_500)
       for wheel, factor in WRONG_WHEELS),
     _N("valve_stuck", 4, state=State.COASTING),
-    _N("valve_slow", 4, 40.0, state=State.COASTING), _N("supply_drop", 0, 4.0),
+    _N("valve_stuck", 4, state=State.ENGAGING), _N("valve_stuck", 3, state=State.DISENGAGING),
+    _N("valve_slow", 4, 40.0, state=State.COASTING),
+    *(_N(kind, 4, late_ms, state=State.COASTING)
+      for kind in ("valve_slow_on", "valve_slow_off") for late_ms in (10.0, 40.0)),
+    *(_N("valve_leaks", valve, percent, state=State.COASTING)
+      for valve in (3, 4) for percent in (2.0, 20.0)),
+    *(_N("sleeve_stiff", 0, percent, state=State.COASTING) for percent in (50.0, 300.0)),
+    _N("sleeve_heavy", 0, 100.0, state=State.COASTING),
+    _N("supply_drop", 0, 4.0),
     _N("sleeve_jammed", 0, state=State.COASTING), _N("position_offset", 1, 3.0),
     _N("position_frozen", 0, state=State.COASTING), _N("frozen_payload", 0),
     _N("frozen_payload", 1), _N("brake_fade", 0, 0.0),

@@ -11,7 +11,7 @@ from meshpoint.controller.core import POSITIONS, ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import EEC1, TC1, ControllerState, ValveStatus

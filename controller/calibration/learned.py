@@ -23,12 +23,13 @@ from meshpoint.gearbox.tables import (
     read_group,
     text,
 )
-from meshpoint.units import BAR, DEG, MS, RPM, TURN, US
+from meshpoint.units import BAR, DEG, MM, MS, RPM, TURN, US
 
 Record = TypeVar("Record")
 
 CALIBRATION_FORMAT: Final = 1
 MOST_SHIFTS: Final = 1_000_000_000
+MOST_MOVEMENTS: Final = 1_000_000_000
 PITCH_SHARE: Final = 0.25
 """Largest tooth error in pitches; a larger one belongs to another wheel."""
 COMMENT: Final = """\
@@ -217,13 +218,51 @@ class ByGear(Generic[Record]):
 
 @dataclass(frozen=True)
 class SleeveRecord:
-    """The sleeve's way into one gear (`controller/planning/sleeve_delay.py`)."""
+    """A sleeve's contacts with one gear (`controller/sleeve/contact_chance.py`)."""
 
     delay_s: float = quantity("delay_ms", 1.0, 500.0, MS)
-    """From activation to contact, at the data sheet's supply pressure."""
+    """From activation to contact, from neutral and at the data sheet's supply pressure."""
     samples: float = quantity("samples", 0.01, 1e4)
     scatter_s: float = quantity("scatter_ms", 1e-3, 100.0, MS)
     scatter_samples: float = quantity("scatter_samples", 0.01, 1e4)
+
+
+@dataclass(frozen=True)
+class SleeveLawRecord:
+    """What a sleeve's movements have shown of its law (`controller/sleeve/law.py`). Of two figures
+    the first is of the valve that pushes towards the sensor's positive side."""
+
+    movements: int = count("learned_from_movements", 1, MOST_MOVEMENTS)
+    on_delay_s: tuple[float, ...] = quantities("on_delay_ms", -100.0, 200.0, MS)
+    off_delay_s: tuple[float, ...] = quantities("off_delay_ms", -100.0, 200.0, MS)
+    filling: tuple[float, ...] = quantities("filling", 0.01, 100.0)
+    """Rate at which a chamber fills, over that of the data sheet."""
+    friction: float = quantity("friction", 0.01, 100.0)
+    """This and the next three over those of the data sheet."""
+    damping: float = quantity("damping", 0.01, 100.0)
+    dead_volume: float = quantity("dead_volume", 0.01, 1000.0)
+    vent: float = quantity("vent", 0.01, 100.0)
+    detent_n: float = quantity("detent_n", -10000.0, 10000.0)
+    """Of the detent in neutral. Less than 0: there is none."""
+    in_gear_n: float = quantity("detent_in_gear_n", -10000.0, 10000.0)
+    offset_m: float = quantity("sensor_offset_mm", -10.0, 10.0, MM)
+    gain: float = quantity("sensor_gain", 0.5, 2.0)
+    root: tuple[float, ...] = quantities("root_of_covariance", -100.0, 100.0)
+    """Cholesky's factor of the errors' covariance, row by row: of delays in s, logarithms, kN, mm
+    and again a logarithm, in the order above."""
+
+    UNKNOWNS = 14
+
+    def __post_init__(self) -> None:
+        for key, allowed in (
+            ("on_delay_s", 2),
+            ("off_delay_s", 2),
+            ("filling", 2),
+            ("root", self.UNKNOWNS * (self.UNKNOWNS + 1) // 2),
+        ):
+            found = len(getattr(self, key))
+            if found != allowed:
+                raise TableError(f"{key} holds {found} numbers, allowed are {allowed}")
 
 
 @dataclass(frozen=True)
@@ -234,6 +273,14 @@ class SleeveRecords(ByGear[SleeveRecord]):
     first: SleeveRecord | None = group(SleeveRecord, default=None)
     second: SleeveRecord | None = group(SleeveRecord, default=None)
     third: SleeveRecord | None = group(SleeveRecord, default=None)
+
+
+@dataclass(frozen=True)
+class SleeveLawRecords:
+    """The sleeves whose law has been learned."""
+
+    first_second: SleeveLawRecord | None = group(SleeveLawRecord, default=None)
+    crawl_third: SleeveLawRecord | None = group(SleeveLawRecord, default=None)
 
 
 @dataclass(frozen=True)
@@ -280,6 +327,7 @@ class Calibration:
     noise: NoiseRecord | None = group(NoiseRecord, default=None)
     swings: SwingRecords = group(SwingRecords, default=SwingRecords())
     sleeves: SleeveRecords = group(SleeveRecords, default=SleeveRecords())
+    sleeve_laws: SleeveLawRecords = group(SleeveLawRecords, default=SleeveLawRecords())
     drifts: DriftRecords = group(DriftRecords, default=DriftRecords())
     end: End = group(End)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve
+from meshpoint.controller.guard.limits import MainValve
 from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
 from meshpoint.units import TURN
 
@@ -36,8 +36,9 @@ class Shaft(NamedTuple):
 class HeldGear:
     """Which main valve's gear is held, and where it stood against its sleeve."""
 
-    def __init__(self, main: dict[int, MainValve], pitch_rad: float) -> None:
+    def __init__(self, main: dict[int, MainValve], pitch_rad: float, apart_m: float) -> None:
         self._main, self._free_rad = main, FREE_PITCHES * pitch_rad
+        self._apart_m = apart_m
         self._held: tuple[int, float] | None = None
 
     def forget(self) -> None:
@@ -48,8 +49,9 @@ class HeldGear:
         self, agreeing: int, positions_m: tuple[float, ...], layshaft: Shaft, main: Shaft
     ) -> int:
         """The main valve of the gear that is taken to be in mesh although both sleeves are measured
-        in neutral, 0 if there is none. agreeing: the one whose gear turns with its sleeve now."""
-        if max(abs(positions_m[0]), abs(positions_m[1])) > GUARD_NEUTRAL_M:
+        apart from all teeth, 0 if there is none. agreeing: the one whose gear turns with its sleeve
+        now."""
+        if max(abs(positions_m[0]), abs(positions_m[1])) > self._apart_m:
             self._held = None
             return 0
         if agreeing:

@@ -1,38 +1,55 @@
-"""Row 3 at the last moment at which a sleeve that has been fired can be withdrawn.
+"""Row 3 once a sleeve has been fired: when its valve going off last stops it, and when it comes
+near its gear.
 
-Before it, a firing is forbidden only if no contact can come right: it is judged again. From then on
-nothing can be mended, so it has to come right whatever the shafts may do until contact.
+Before, a firing is forbidden only if no contact can come right: it is judged again. In the last
+step in which the sleeve still stops short of the teeth the slip has to come right whatever the main
+shaft may do if the layshaft keeps its speed; in the last one before contact, whatever both may do.
 """
 
 from __future__ import annotations
 
-from meshpoint.controller.guard.case import REACT_US, Case, Span
-from meshpoint.controller.guard.limits import SLIP_MARGIN_RAD_S
+from meshpoint.controller.guard.case import Case, Span
+from meshpoint.controller.guard.limits import REACT_US, SLIP_MARGIN_RAD_S
+from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 
 
 def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
-    """Whether, at the last call, the slip may be outside its window at contact: the main shaft
-    goes on swinging as it has, the layshaft keeps its speed at most and goes on falling as it does
-    at least. A swing or a speed that is not known may do anything."""
-    if not is_last_call(case, span):
+    """Whether the slip at contact is outside its window as far as is known now. A swing or a
+    speed that is not known may do anything."""
+    stops, last = is_last_stop(case, valve, span), is_last_call(case, valve, span)
+    if not stops and not last:
         return False
     layshaft, main = case.seen.swings
     if layshaft is None or main is None:
         return True
-    _, late_us = case.contact_us(span)
-    ratio, (low, high) = case.limits.main[valve].ratio, case.limits.slip_rad_s
+    _, late_us = case.contact_us(valve, span)
+    # The main shaft goes on swinging as it has.
     main_least, main_most = main.between(late_us)
-    ahead_s = max(0.0, late_us - layshaft.newest.time_us) * 1e-6
-    most = layshaft.newest.omega_rad_s
-    least = most + min(0.0, layshaft.rate_rad_s2) * ahead_s
+    most = least = layshaft.newest.omega_rad_s
+    if not last:
+        # The newest speed is some hundredths of a second old: the layshaft has fallen on until now.
+        passed_s = max(0.0, case.seen.now_us - layshaft.newest.time_us) * 1e-6
+        most = least = most + min(0.0, layshaft.rate_rad_s2) * passed_s
+    else:
+        # Once no brake acts any more, the layshaft falls as it does or not at all.
+        ahead_s = max(0.0, late_us - layshaft.newest.time_us) * 1e-6
+        least += min(0.0, layshaft.rate_rad_s2) * ahead_s
+    ratio, (low, high) = case.limits.main[valve].ratio, case.limits.slip_rad_s
     return (
         ratio * most - main_least > high + SLIP_MARGIN_RAD_S
         or ratio * least - main_most < low - SLIP_MARGIN_RAD_S
     )
 
 
-def is_last_call(case: Case, span: Span) -> bool:
+def is_last_stop(case: Case, valve: int, span: Span) -> bool:
+    """Whether a command that switches the valve off still stops the sleeve short of the teeth, but
+    may come too late for that in the next step."""
+    stopped_us = span.start_us + longest_pulse_us(case.limits, case.set_off_m(valve, span))
+    return case.seen.now_us < stopped_us <= case.seen.now_us + REACT_US
+
+
+def is_last_call(case: Case, valve: int, span: Span) -> bool:
     """Whether the sleeve has not met its gear yet, but may have when a command of the next step can
     act."""
-    early_us, _ = case.contact_us(span)
+    early_us, _ = case.contact_us(valve, span)
     return case.seen.now_us < early_us <= case.seen.now_us + REACT_US

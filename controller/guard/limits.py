@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings import ControllerSettings, ValveTiming
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
 
@@ -20,6 +20,16 @@ SLIP_MARGIN_RAD_S: Final = 1.0
 """Error of the measured speeds plus what the vehicle may gain or lose until contact: 10 rpm."""
 CLEAR_M: Final = 0.5e-3
 """Teeth this far past each other are out."""
+APART_M: Final = 0.2e-3
+"""A sleeve that stands this far before the teeth does not touch them: what its sensor may be wrong
+by."""
+LEAVING_M_S: Final = 0.05
+"""A sleeve this fast is on its way, one slower than this over a whole frame stands: some times what
+the sensors' noise gives."""
+REACT_US: Final = 15_000
+"""From a judgement until a command of the next step can take effect: a tick and the bus."""
+BUS_US: Final = 5_000
+"""The same where the node wakes at the time at which a valve has to switch."""
 BRAKE_PRESSED_PA: Final = 1.0e5
 """Above this gauge pressure the brake is taken to put torque on the gear in mesh."""
 SPEED_TOLERANCE: Final = 1.01
@@ -65,6 +75,8 @@ class GuardLimits:
     clutch_open_share: float
     """The clutch's plates are surely apart from here on."""
     sleeve_scatter_us: float
+    switch_again_us: int
+    """A main valve that is switched on now can be off again so much later, at the latest."""
     brake_delay_us: tuple[float, float]
     """Of its valve, least and greatest: the sheet's with its tolerance."""
     brake_lag_us: float
@@ -83,6 +95,8 @@ class GuardLimits:
     brake_j: float
     brake_floor_rad_s: float
     valve_on_us: int
+    before_teeth_us: int
+    """A sleeve may stand between neutral and a gear's teeth for so long."""
     supply_low_pa: float
     engaged_m: float
     """From here to its end a sleeve stands in its gear or step."""
@@ -106,6 +120,22 @@ class GuardLimits:
     """The gear's number by its main valve and the sides of splitter and range sleeve."""
 
     @property
+    def valve_between_us(self) -> tuple[float, float]:
+        """Least and greatest time from a main valve's current to its sleeve's first movement, and
+        from the current's end until the chamber is shut off."""
+        middle, scatter = self.sleeve_valve_us, self.sleeve_scatter_us
+        return max(0.0, middle - scatter), middle + scatter
+
+    @property
+    def apart_m(self) -> float:
+        """A main sleeve measured within this of the middle touches no gear's teeth."""
+        return self.contact_m - APART_M
+
+    def valves_of(self, sleeve: int) -> tuple[int, ...]:
+        """The two valves of a main sleeve."""
+        return tuple(valve for valve, gear in self.main.items() if gear.sleeve == sleeve)
+
+    @property
     def are_sane(self) -> bool:
         """Whether all numbers are finite and positive, and the slip window is not empty."""
         numbers = [
@@ -118,6 +148,7 @@ class GuardLimits:
             self.brake_rad_s2[1],
             self.brake_j,
             self.valve_on_us,
+            self.before_teeth_us,
             self.brake_on_us,
             self.plate_slip_rad_s,
             self.clutch_travel_us,
@@ -166,6 +197,7 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         stroke_m=sleeve.stroke_m,
         clutch_open_share=sheet.clutch.surely_open_share,
         sleeve_scatter_us=sleeve.delay_limit_s * 1e6,
+        switch_again_us=BUS_US if settings.valve_timing == ValveTiming.IMMEDIATE else REACT_US,
         brake_delay_us=(
             brake.least_valve_delay_s * 1e6,
             brake.greatest_valve_delay_s * 1e6,
@@ -183,6 +215,7 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         brake_j=guard.brake_energy_j,
         brake_floor_rad_s=guard.brake_floor_rad_s,
         valve_on_us=settings.limits.valve_on_ms * 1000,
+        before_teeth_us=guard.before_teeth_ms * 1000,
         supply_low_pa=guard.supply_low_pa,
         engaged_m=sleeve.stroke_m - GUARD_END_M,
         plate_slip_rad_s=_plate_slip_rad_s(sheet),

@@ -54,8 +54,8 @@ SILENT_US: Final = 40_000
 
 _stamp: Final = struct.Struct("<I").unpack_from
 _sensors: Final = struct.Struct("<HHHH").unpack_from
-_sleeves: Final = struct.Struct("<Bh4xh12xh4xh").unpack_from
-"""Fault bits; of each sleeve the newest sample and the one `OVER_SAMPLES` before it."""
+_sleeves: Final = struct.Struct("<Bh4xh10xhh4xh10xh").unpack_from
+"""Fault bits; of each sleeve the newest sample, the one `OVER_SAMPLES` before it and the oldest."""
 _edges: Final = struct.Struct("<HB27H").unpack_from
 _word: Final = struct.Struct("<H").unpack_from
 STAMP_AT: Final = 3
@@ -68,6 +68,8 @@ OVER_SAMPLES: Final = 3
 SAMPLE_S: Final = 1e-3
 OVER_SPAN_S: Final = OVER_SAMPLES * SAMPLE_S
 """A sleeve's speed is taken over this many samples of 1 ms."""
+FRAME_SPAN_S: Final = 9 * SAMPLE_S
+"""From a frame's oldest sample to its newest."""
 ENGINE_AT, ENGINE_STEP_RAD_S = 3, 0.125 * math.pi / 30.0
 TORQUE_AT, TORQUE_OFFSET, TORQUE_STEPS = 2, 125, 0xFA
 ENGINE_STEPS: Final = 0xFAFF
@@ -88,6 +90,8 @@ class Slow(NamedTuple):
     """A sensor says that it is out of range."""
     speeds_m_s: tuple[float, float] = (0.0, 0.0)
     """Of two sleeves, over their newest samples."""
+    means_m_s: tuple[float, float] = (0.0, 0.0)
+    """Of two sleeves, over all samples of the frame."""
 
 
 class Engine(NamedTuple):
@@ -259,7 +263,8 @@ class GuardEar:
         fault, *samples = _sleeves(data, CONTENT_AT)
         if max(map(abs, samples)) > POSITION_STEPS:
             return False
-        a, a_before, b, b_before = [sample * POSITION_STEP_M for sample in samples]
+        a, a_before, a_oldest, b, b_before, b_oldest = [each * POSITION_STEP_M for each in samples]
         speeds = ((a - a_before) / OVER_SPAN_S, (b - b_before) / OVER_SPAN_S)
-        self.slow[can_id] = Slow(stamp, (a, b), bool(fault), speeds)
+        means = ((a - a_oldest) / FRAME_SPAN_S, (b - b_oldest) / FRAME_SPAN_S)
+        self.slow[can_id] = Slow(stamp, (a, b), bool(fault), speeds, means)
         return True

@@ -19,7 +19,6 @@ from meshpoint.controller.guard.case import (
     FRAME_LENGTH,
     MAIN_VALVES,
     NO_SPANS,
-    REACT_US,
     SPLITTER,
     VALVE_COUNT,
     Case,
@@ -35,9 +34,11 @@ from meshpoint.controller.guard.limits import (
     CLEAR_M,
     CLUTCH_CLOSED_SHARE,
     GUARD_NEUTRAL_M,
+    REACT_US,
     SLIP_MARGIN_RAD_S,
     GuardLimits,
 )
+from meshpoint.controller.guard.sleeve_memory import note_sleeves, remember_drives
 from meshpoint.controller.guard.view import GuardInputs
 
 BRAKE: Final = 0
@@ -61,18 +62,27 @@ Rule = Callable[[Case], bool]
 
 
 def both_valves_of_a_sleeve(case: Case) -> bool:
-    """Row 1: both valves of a sleeve are driven."""
+    """Row 1: both valves of a sleeve are driven at one time. A release that is still to come
+    counts."""
     return any(
-        case.spans[a] is not None and case.spans[b] is not None for a, b in SLEEVE_VALVE_PAIRS
+        (one := case.spans[a]) is not None
+        and (other := case.spans[b]) is not None
+        and max(one.start_us, other.start_us) < min(one.end_us, other.end_us)
+        for a, b in SLEEVE_VALVE_PAIRS
     )
 
 
 def two_sleeves_of_the_main_box(case: Case) -> bool:
-    """Row 2: both commanded, or one commanded while the other is not proven neutral."""
-    driven = [case.limits.main[valve].sleeve for valve in MAIN_VALVES if case.spans[valve]]
+    """Row 2: both commanded, or one commanded while the other is not proven neutral. One that goes
+    back to neutral may do so while the other stands before its teeth."""
+    driven = {case.limits.main[v].sleeve: v for v in MAIN_VALVES if case.spans[v] is not None}
     return any(
-        other in driven or abs(case.seen.positions_m[other]) > GUARD_NEUTRAL_M
-        for other in (1 - sleeve for sleeve in driven)
+        1 - sleeve in driven
+        or not (
+            case.is_neutral(1 - sleeve)
+            or (case.brings_back(valve) and case.stands_apart(1 - sleeve))
+        )
+        for sleeve, valve in driven.items()
     )
 
 
@@ -81,7 +91,7 @@ def slip_out_of_its_window(case: Case) -> bool:
     call, it may lie outside. With the clutch closed the engine can cause any slip, so the rule
     forbids engaging then."""
     return any(
-        not case.is_parted(case.contact_us(span)[0])
+        not case.is_parted(case.contact_us(valve, span)[0])
         or not _slip_can_fit(case, valve, span)
         or slip_may_leave_its_window(case, valve, span)
         for valve, span in case.engaging()
@@ -93,7 +103,7 @@ def _slip_can_fit(case: Case, valve: int, span: Span) -> bool:
     if layshaft is None or main is None:
         return True  # row 4 forbids engaging at an unknown speed
     limits, ratio = case.limits, case.limits.main[valve].ratio
-    early_us, late_us = case.contact_us(span)
+    early_us, late_us = case.contact_us(valve, span)
     slip = ratio * layshaft.omega_rad_s - main.omega_rad_s
     least_s, most_s = _braking_s(case, layshaft.time_us, early_us, late_us)
     drag = limits.drag_rad_s2 + limits.drag_rate * layshaft.omega_rad_s
@@ -137,7 +147,7 @@ def brake_against_the_driveline(case: Case) -> bool:
     approaching = {case.limits.main[valve].sleeve for valve, _ in engaging}
     acts_us = max(float(case.seen.now_us), brake.start_us + case.limits.brake_delay_us[0])
     in_mesh = not all(case.teeth_are_out(sleeve, acts_us) for sleeve in {0, 1} - approaching)
-    meets = any(brake.end_us > case.contact_us(span)[0] for _, span in engaging)
+    meets = any(brake.end_us > case.contact_us(*driven)[0] for driven in engaging)
     return in_mesh or meets or not case.is_parted(acts_us)
 
 
@@ -220,10 +230,11 @@ def disengage_under_torque(case: Case) -> bool:
 
 
 def actuation_at_low_supply(case: Case) -> bool:
-    """Row 11: a valve is newly driven at low supply pressure; one already driven may stay on."""
+    """Row 11: a valve is newly driven at low supply pressure; one already driven may stay on, and
+    what it has set going may be braked."""
     new = any(
-        now is not None and before is None
-        for now, before in zip(case.spans, case.state.spans, strict=True)
+        now is not None and before is None and not case.brakes(valve)
+        for valve, (now, before) in enumerate(zip(case.spans, case.state.spans, strict=True))
     )
     return new and case.seen.supply_pa < case.limits.supply_low_pa
 
@@ -248,8 +259,9 @@ def sensor_denies_a_gear(case: Case) -> bool:
 
 
 def moved_without_a_request(case: Case) -> bool:
-    """Row 17: a sleeve set going though no gear is asked for that is not in already."""
-    if not case.starting():
+    """Row 17: a sleeve set going though no gear is asked for that is not in already. One that
+    stands before a gear's teeth may be brought back to neutral."""
+    if all(case.brings_back(valve) for valve in case.starting()):
         return False
     wanted = case.state.wanted
     return wanted is None or case.seen.now_us - wanted[1] > case.limits.request_us
@@ -270,6 +282,18 @@ def timed_by_another_clock(case: Case) -> bool:
     """Row 19: the clock that the commands are timed by is not the sensors' as the guard reads it
     from their stamps: a valve would open at another time than this command was judged for."""
     return any(case.spans) and abs(case.seen.clock_error_us) > CLOCK_ERROR_US
+
+
+def stands_too_long(case: Case) -> bool:
+    """Row 20: a main sleeve has stood between neutral and a gear's teeth for too long, and anything
+    is switched on that does not bring it back to neutral."""
+    since_us, now_us = case.state.before_teeth_us.values(), case.seen.now_us
+    if all(now_us - each_us <= case.limits.before_teeth_us for each_us in since_us):
+        return False
+    return any(
+        span is not None and (was is None or was.start_us > now_us) and not case.brings_back(valve)
+        for valve, (span, was) in enumerate(zip(case.spans, case.state.spans, strict=True))
+    )
 
 
 class GuardRow(NamedTuple):
@@ -297,6 +321,7 @@ GUARD_ROWS: Final = (
     GuardRow(11, False, actuation_at_low_supply),
     GuardRow(17, False, moved_without_a_request),
     GuardRow(18, False, back_and_forth),
+    GuardRow(20, False, stands_too_long),
 )
 """In the order in which they are applied: the first rule that forbids is the one reported."""
 
@@ -353,6 +378,7 @@ class Guard:
         clock the self-test begins anew: how long its frames waited for the bus is not known yet."""
         state = self._state
         self._note_request(seen)
+        note_sleeves(state, seen, self._limits)
         if seen.clock_is_new:
             state.proofs = 0
         if state.proofs < PROOF_STEPS:
@@ -380,7 +406,9 @@ class Guard:
 
     def _remember(self, wished: Spans, seen: GuardInputs) -> None:
         state, now_us = self._state, seen.now_us
-        state.pulls = Case(wished, seen, state, self._limits).pulling()
+        case = Case(wished, seen, state, self._limits)
+        remember_drives(case)
+        state.pulls = case.pulling()
         state.group_us |= {valve: now_us for valve in OTHER_END if wished[valve] is not None}
         was = state.spans[BRAKE]
         if was is not None and was.start_us <= now_us:

@@ -17,8 +17,9 @@ PERIOD_US: Final = 180_000
 RATE_SPEEDS: Final = 2
 """A rate is taken from a speed and the one this many before it: over 20 ms, since neighbouring ones
 are measured over teeth that they share."""
-RATE_GAP_US: Final = 40_000
-"""Speeds further apart say nothing of a rate: a quarter of a period lies between."""
+RATE_GAP_US: Final = PERIOD_US // 4
+"""Speeds further apart say nothing of a rate: a quarter of a swing lies between. Two ticks of 20 ms
+have room in it."""
 
 
 class Swing(NamedTuple):

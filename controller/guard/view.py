@@ -2,8 +2,9 @@
 
 Nothing here comes from the observer, the codec or the receiver: the guard has its own ear
 (`listening`), clock (`own_clock`) and speeds (`own_speed`). Positions and pressures are the newest
-samples. A gear that is in mesh although the position sensors show neutral is recognised by the
-shafts' turns (row 13). A speed wheel that the others deny (`shafts_in_mesh`) has no speed.
+samples. A gear that is in mesh although the position sensors show no sleeve at its teeth is
+recognised by the shafts' turns (row 13). A speed wheel that the others deny (`shafts_in_mesh`) has
+no speed.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.held_gear import HeldGear, Shaft
-from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, GuardLimits
+from meshpoint.controller.guard.limits import GuardLimits
 from meshpoint.controller.guard.listening import (
     EDGES,
     LAYSHAFT_EDGES,
@@ -62,7 +63,7 @@ class GuardInputs(NamedTuple):
     speeds: tuple[ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None]
     agreeing: int
     """Number of the main valve whose gear turns with its sleeve although both sleeves are measured
-    in neutral, or did so and has not turned free since; 0 if there is none."""
+    apart from all teeth, or did so and has not turned free since; 0 if there is none."""
     valid: bool
     """Positions, clutch, pressures and the valve side's own status come from channels that the
     guard believes and are recent, and no sensor reports itself out of range."""
@@ -95,6 +96,8 @@ class GuardInputs(NamedTuple):
     their speeds count as unknown."""
     swings: tuple[Swing | None, Swing | None] = (None, None)
     """How the speeds of layshaft and main shaft change and have changed; None where not known."""
+    means_m_s: tuple[float, float] = (0.0, 0.0)
+    """Of the two main sleeves, over all samples of a frame: with less noise, and later."""
 
 
 class GuardView:
@@ -120,7 +123,8 @@ class GuardView:
         self._turns: deque[BothCounted] = deque()
         self._wheels = ShaftsInMesh(sheet, limits)
         self._swings = (SwingMemory(), SwingMemory())
-        self._held = HeldGear(limits.main, sheet.dog.pitch_rad)
+        self._held = HeldGear(limits.main, sheet.dog.pitch_rad, limits.apart_m)
+        self._apart_m = limits.apart_m
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -177,6 +181,7 @@ class GuardView:
             bool(stamps),
             in_doubt,
             (self._swings[0].take(b), self._swings[1].take(c)),
+            ear.slow[SLEEVES_MAIN].means_m_s,
         )
 
     def _begin_anew(self) -> None:
@@ -263,9 +268,9 @@ class GuardView:
         now_us: int,
     ) -> int:
         """The main valve whose gear turns with its sleeve, from the turns since both sleeves were
-        in neutral; 0 if there is none."""
+        apart from all teeth; 0 if there is none."""
         turns = self._turns
-        out = max(abs(positions[0]), abs(positions[1])) > GUARD_NEUTRAL_M
+        out = max(abs(positions[0]), abs(positions[1])) > self._apart_m
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
         if out or slow:
             turns.clear()

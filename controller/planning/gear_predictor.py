@@ -48,7 +48,7 @@ class Trajectory(NamedTuple):
 
 
 class LastMeasurement(NamedTuple):
-    """When a sleeve can last be recalled: the last tick so long before its contact."""
+    """When a sleeve can last be stopped: the last tick so long before its contact."""
 
     before_us: float
     tick_us: int
@@ -77,6 +77,10 @@ class GearPredictor:
     """Learned: by how much the slip exceeds the model's prediction (`phase_drift`)."""
     spread_share: float
     """Learned: ratio of the phases' real scatter to the filters' standard deviation."""
+    stop_us: int
+    """A sleeve that has been fired can last be stopped so long before its contact."""
+    contact_speed_m_s: float
+    """Of the sleeve as it meets the gear's teeth."""
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""

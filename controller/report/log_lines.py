@@ -1,10 +1,12 @@
-"""Log lines of the decisions and their reasons: brake, release, wait, fire."""
+"""Log lines of the decisions and their reasons: brake, release, wait, fire; and of how a shift
+ended."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from meshpoint.controller.planning.strategist import Plan
+from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import ShiftDecision
 from meshpoint.units import DEG, MS_US, RPM
 
@@ -38,4 +40,13 @@ def decision_line(plan: Plan, now_us: int) -> str | None:
         where=where,
         fire=(plan.fire_us - now_us) / MS_US,
         contact=(plan.contact_us - now_us) / MS_US,
+    )
+
+
+def outcome_line(shift: ShiftRecord) -> str:
+    """The log line of a shift that is over."""
+    aborted = f", {shift.aborts} aborted" if shift.aborts else ""
+    return (
+        f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
+        f", {shift.attempts} fired{aborted}, fault {shift.fault.name.lower()}"
     )

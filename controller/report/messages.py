@@ -32,6 +32,8 @@ ANGLE_SD_TOP: Final = 32.0 * DEG
 SPEED_SD_TOP: Final = 300.0 * RPM
 SPEED_TOP: Final = 200_000.0 * RPM
 PHASE_TOP: Final = 20_000.0 * DEG
+PLACE_TOP: Final = 0.02
+COUNT_TOP: Final = 255
 PRESSURE_TOP: Final = 13.0e5
 
 
@@ -118,6 +120,8 @@ def outcome(shift: ShiftRecord, pitch_rad: float) -> ShiftOutcome:
         predicted_slip_rad_s=clip(plan.slip_rad_s, SPEED_TOP, -SPEED_TOP) if plan else 0.0,
         estimated_phase_rad=wrap_to_pitch(shift.estimated_phase_rad, pitch_rad),
         reference_source=shift.reference_source,
+        aborts=min(shift.aborts, COUNT_TOP),
+        halt_position_m=clip(shift.halt_m, PLACE_TOP, -PLACE_TOP),
     )
 
 

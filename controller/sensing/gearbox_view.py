@@ -10,13 +10,17 @@ from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
 
-VIEW_NEUTRAL_M: Final = 1.0e-3
-"""A sleeve within this of the middle is in neutral."""
+VIEW_NEUTRAL_M: Final = 1.5e-3
+"""A sleeve within this of the middle is in neutral, or its detent brings it there."""
 ENGAGED_SHORT_M: Final = 1.0e-3
 """A sleeve within this of its stroke is in mesh."""
 ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
+RESTS_M: Final = 0.4e-3
+"""A sleeve that has moved less than this within a frame stands: some times the sensors' noise."""
 SAMPLE_US: Final = 1000
+SAMPLES: Final = 10
+"""Of a sleeve in a frame."""
 SLEEVE_COUNT: Final = len(Sleeve)
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
@@ -49,12 +53,11 @@ class SleeveTrack(NamedTuple):
         return None
 
 
-RESTING_M = 1e-3
-"""A sleeve this close to the middle is taken to be in neutral."""
-REST_SHARE = 0.05
-SHORT_M = 4e-4
-"""Contact is detected this far before its nominal position, since a tooth may stop the sleeve
-there."""
+RESTING_M: Final = 1e-3
+"""A sleeve this close to the middle rests: what its sensor reads there is its offset."""
+REST_SHARE: Final = 0.05
+SHORT_M: Final = 4e-4
+"""This far before its nominal position a tooth may stop or rub on a sleeve."""
 
 
 class GearboxView:
@@ -64,7 +67,6 @@ class GearboxView:
         self._stroke_m = sheet.sleeve.stroke_m
         self._clear_m = sheet.sleeve.to_contact_m - SHORT_M
         """Nearer to the middle than this a sleeve is clear of a gear's teeth."""
-        self._speed_m_s = sheet.sleeve.speed_m_s
         self._rest_m = dict.fromkeys(Sleeve, 0.0)
         """Offset of each sensor: its reading in neutral (m)."""
         self.tracks: dict[Sleeve, SleeveTrack] = {}
@@ -115,13 +117,6 @@ class GearboxView:
         if abs(position_m) < RESTING_M:
             self._rest_m[sleeve] += REST_SHARE * (position_m - self._rest_m[sleeve])
 
-    def contact_us(self, sleeve: Sleeve, direction: int) -> float | None:
-        """When a sleeve on its way to a gear came to where it meets the gear's teeth; None where it
-        did not within the newest samples. The sensor's offset is taken out."""
-        level_m = self._clear_m + self._rest_m[sleeve] * direction
-        passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
-        return None if passed_us is None else passed_us + SHORT_M / self._speed_m_s * 1e6
-
     def engaged_us(self, sleeve: Sleeve, direction: int) -> int | None:
         """When a sleeve came within the last millimetre of its stroke; None where it did not within
         the newest samples."""
@@ -148,6 +143,16 @@ class GearboxView:
     def in_neutral(self, sleeve: Sleeve) -> bool:
         """Whether a sleeve stands in the middle."""
         return abs(self.position_m(sleeve)) < VIEW_NEUTRAL_M
+
+    @property
+    def main_rests(self) -> bool:
+        """Whether both main sleeves stand, as far as the samples of a frame show."""
+        return all(map(self.rests, MAIN_SLEEVES))
+
+    def rests(self, sleeve: Sleeve) -> bool:
+        """Whether a sleeve stands, as far as the samples of a frame show."""
+        samples_m = self.tracks[sleeve].samples_m
+        return abs(samples_m[0] - samples_m[SAMPLES - 1]) < RESTS_M
 
     def side(self, sleeve: Sleeve) -> int:
         """-1 or +1 where the sleeve is in mesh, 0 elsewhere."""

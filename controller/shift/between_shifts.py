@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
 from meshpoint.controller.shift.step_snapshot import MISSING, StepSnapshot
 from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.shift.to_neutral import bring_to_neutral
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
+FREE_AGAIN_US: Final = 300 * MS_IN_US
+"""A sleeve that has not come to neutral is tried again after so long."""
+
 
 def find_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """After power-up: waits until everything a shift needs is there, then finds the gear."""
-    return None if snapshot.lost in MISSING else watch_gear(context, snapshot)
+    """After power-up: waits until everything a shift needs is there, then finds the gear. A sleeve
+    that stands between neutral and a gear is brought to neutral first."""
+    if snapshot.lost in MISSING:
+        return None
+    if snapshot.view.complete and snapshot.view.main_gear is None:
+        _free_sleeves(context, snapshot)
+        return None
+    return watch_gear(context, snapshot)
 
 
 def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
@@ -49,11 +62,28 @@ def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
 
 
 def wait_for_position(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Faulted: it is unknown which gear is in mesh. All valves are off, the clutch stays open,
-    until the position sensors show a gear or neutral again."""
+    """Faulted: it is unknown which gear is in mesh. The clutch stays open until the position
+    sensors show a gear or neutral again; a sleeve that they show in between is brought to
+    neutral."""
     context.clutch = ClutchAction.OPEN
-    if snapshot.lost is FaultCode.POSITION_STALE or snapshot.view.main_gear is None:
+    if snapshot.lost is FaultCode.POSITION_STALE:
+        return None
+    if snapshot.view.main_gear is None:
+        # The shift that has just ended has tried.
+        if snapshot.now_us - context.since_us > FREE_AGAIN_US:
+            _free_sleeves(context, snapshot)
         return None
     if snapshot.view.main_gear is MainGear.NEUTRAL:
         return Trigger.FOUND_IN_NEUTRAL
     return Trigger.FOUND_IN_GEAR
+
+
+def _free_sleeves(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """Brings sleeves that stand between neutral and a gear to neutral, the clutch open; one that
+    has not come is tried again after a while, so that it does not take all the air."""
+    context.clutch = ClutchAction.OPEN
+    is_ready = snapshot.is_self_tested and context.armed and snapshot.view.clutch_parted
+    # Another time where the sensors' clock has gone back since.
+    if is_ready and not 0 <= snapshot.now_us - context.freed_us <= FREE_AGAIN_US:
+        context.freed_us = snapshot.now_us
+        bring_to_neutral(context, snapshot, stands=True)

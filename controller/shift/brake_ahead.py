@@ -1,69 +1,50 @@
-"""The brake's air, on its way before the old gear is out: it arrives as the teeth leave each other.
+"""The brake's air, before the old gear's sleeve rests in neutral: as soon as its teeth are seen to
+be out and it runs on to neutral, by itself or braked.
 
-A sleeve on its way out moves by a constant force, s = a t^2 / 2. From how far it has come and how
-fast it is follows when its teeth are out. The brake's valve is switched its own delay before that.
-Nothing is commanded before the sleeve has been seen to move, and a sleeve that stops takes the
-command back.
+Sooner, the guard could not prove that no teeth are loaded: once its valve is off, a sleeve that is
+still between the teeth may stop there.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import SleeveTrack
+from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.shift.to_neutral import CLEAR_M, is_to_rest
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.units import SECOND_US
 
-MOVED_M: Final = 0.6e-3
-"""A sleeve this far from where it stood is on its way: some times the sensors' noise."""
 OVER_SAMPLES: Final = 3
-"""The sleeve's speed is taken over this many samples of 1 ms."""
-CLEAR_M: Final = 1.0e-3
-"""Air comes in when the teeth are this far from each other, as predicted."""
+"""Over this many samples of 1 ms it is seen how fast a sleeve moves."""
+LEAVES_M_S: Final = 0.1
+"""A sleeve faster than this is surely on its way."""
 
 
 def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """Switches the brake on for when the old gear's teeth are out, while its sleeve is on its way;
+    """Switches the brake on while the old gear's sleeve is on its way to neutral, out of its teeth;
     only for a gear that is too fast, and where no other sleeve has to change before."""
-    command = context.board.command(ValveName.BRAKE)
-    waits = command.time_us > snapshot.earliest_us
-    if command.on and not waits:
-        if not _leaves(context, snapshot):
-            _take_back(context, snapshot)
-        return
-    out_us = _teeth_out_us(context, snapshot) if _is_wanted(context, snapshot) else None
-    if out_us is None:
-        if command.on:
-            _take_back(context, snapshot)
-        return
-    # No air sooner than by the least delay that the sheet allows: the guard goes by it too.
-    least_us = round(context.sheet.brake.least_valve_delay_s * SECOND_US)
-    on_us = max(snapshot.earliest_us, round(out_us) - min(context.brake.on_delay_us, least_us))
-    if on_us >= snapshot.earliest_us + context.tick_us:
-        return  # the next step knows better
-    if not command.on:
+    is_on = context.board.command(ValveName.BRAKE).on
+    is_out = _is_out(context, snapshot)
+    if is_on and not is_out:
+        context.board.off(ValveName.BRAKE)
+        context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
+        context.running.pulses -= 1
+    elif is_out and not is_on and _is_wanted(context, snapshot):
         context.running.pulses += 1
-    context.switch_brake(True, on_us, snapshot)
-
-
-def _take_back(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    context.board.off(ValveName.BRAKE)
-    context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
-    context.running.pulses -= 1
+        context.switch_brake(True, snapshot.earliest_us, snapshot)
 
 
 def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the new gear is so fast that drag alone would take longer than `limits.coast_ms`, and
-    the guard has blocked nothing in this shift: a block takes every valve off, so air that came too
-    soon would press as the gear is pulled again, and would come too soon again."""
+    the guard has blocked nothing in this shift. Nor for a sleeve that has left neutral by itself:
+    it is brought back first."""
     shift, view, sheet = context.running, snapshot.view, context.sheet
     target = shift.target
-    if shift.blocks:
+    if shift.blocks or shift.returns:
         return False
     slip, layshaft = snapshot.speeds.slip_rad_s(target.main), snapshot.speeds.layshaft
     if (view.split, view.range_) != (target.split, target.range_):
@@ -76,51 +57,19 @@ def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return slip - context.settings.window.fire_slip_rad_s > fall
 
 
-def _leaving(context: ShiftContext, snapshot: StepSnapshot) -> tuple[SleeveTrack, int] | None:
-    """The track of the main sleeve that is farthest from neutral, and its side; None in neutral."""
-    tracks = [snapshot.view.tracks[name] for name in MAIN_SLEEVES]
-    track = max(tracks, key=lambda one: abs(one.position_m))
-    if abs(track.position_m) > context.sheet.sleeve.stroke_m - MOVED_M:
-        return None
-    return track, 1 if track.position_m > 0.0 else -1
-
-
-def _leaves(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the sleeve is out of its teeth, or on its way."""
-    sleeve = context.sheet.sleeve
-    found = _leaving(context, snapshot)
-    if found is None:
+def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the main sleeves come to rest in neutral as commanded, and are seen clear of all
+    teeth and on their way there."""
+    shift = context.running
+    if not is_to_rest(context, snapshot) or (shift.pushed_us is not None and not shift.is_braked):
         return False
-    track, side = found
-    if track.position_m * side < sleeve.to_contact_m - CLEAR_M:
-        return True
-    return _speed_m_s(track, side) > 0.0
-
-
-def _speed_m_s(track: SleeveTrack, side: int) -> float:
-    """How fast the sleeve goes toward neutral."""
-    come_m = (track.samples_m[OVER_SAMPLES] - track.samples_m[0]) * side
-    return come_m / (OVER_SAMPLES * 1e-3)
-
-
-def _teeth_out_us(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
-    """When the old gear's teeth will be clear of each other; None while the sleeve stands."""
-    sleeve, found = context.sheet.sleeve, _leaving(context, snapshot)
-    if found is None:
-        return None
-    track, side = found
-    speed = _speed_m_s(track, side)
-    come_m = sleeve.stroke_m - track.position_m * side
-    way_m = sleeve.stroke_m - sleeve.to_contact_m + CLEAR_M
-    if come_m >= way_m:
-        return float(track.newest_us)
-    if speed <= 0.0:
-        return None
-    # The speed is that of the middle of its samples; s = a t^2 / 2 gives t = 2 s / v.
-    middle_m = come_m - 0.5 * speed * OVER_SAMPLES * 1e-3
-    if middle_m <= 0.0:
-        return None
-    since_s = 2.0 * middle_m / speed
-    out_s = since_s * math.sqrt(way_m / middle_m)
-    middle_us = track.newest_us - 0.5 * OVER_SAMPLES * MS_IN_US
-    return middle_us + (out_s - since_s) * SECOND_US
+    # A sleeve that is being braked has to be in neutral: it may stop sooner.
+    runs_out = context.main_valves_rest(snapshot.now_us)
+    clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
+    for sleeve in MAIN_SLEEVES:
+        newest_m, before_m = (snapshot.view.tracks[sleeve].samples_m[k] for k in (0, OVER_SAMPLES))
+        come_m_s = (abs(before_m) - abs(newest_m)) / (OVER_SAMPLES * 1e-3)
+        is_leaving = runs_out and abs(newest_m) < clear_m and come_m_s > LEAVES_M_S
+        if not is_leaving and abs(newest_m) > VIEW_NEUTRAL_M:
+            return False
+    return True

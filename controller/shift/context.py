@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US
@@ -11,7 +13,6 @@ from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
-from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
@@ -19,11 +20,14 @@ from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
-from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.sleeve.answers import Stroke
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
-from meshpoint.units import SECOND_US
+from meshpoint.units import US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -31,21 +35,9 @@ FALL_US: Final = 20 * MS_IN_US
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
-SLEEVE_VALVE: Final = {
-    MainGear.FIRST: ValveName.MAIN_FIRST,
-    MainGear.SECOND: ValveName.MAIN_SECOND,
-    MainGear.CRAWL: ValveName.MAIN_CRAWL,
-    MainGear.THIRD: ValveName.MAIN_THIRD,
-}
-OPPOSITE: Final = {
-    MainGear.FIRST: ValveName.MAIN_SECOND,
-    MainGear.SECOND: ValveName.MAIN_FIRST,
-    MainGear.CRAWL: ValveName.MAIN_THIRD,
-    MainGear.THIRD: ValveName.MAIN_CRAWL,
-}
-"""The valve that pulls a gear out pushes toward the sleeve's other gear."""
-
-
+BRAKE_GAUGES: Final = 8
+SHUTS_US: Final = 25 * MS_IN_US
+"""A sample is there this long after a valve's current of when the slowest valve has shut."""
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
@@ -75,11 +67,15 @@ class ShiftContext:
         self.brake = brake
         self.references = references
         self.strategist = Strategist(sheet, settings)
-        self.delays = SleeveDelays(sheet)
+        self.sleeves = Sleeves(sheet)
         self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
+        self.brake_gauges: deque[tuple[int, float]] = deque(maxlen=BRAKE_GAUGES)
+        """The brake's pressure (Pa, gauge) in each of the newest steps, with the step's time."""
+        self.freed_us = 0
+        """When a sleeve between neutral and a gear was last sent to neutral, between shifts."""
         self.clutch = ClutchAction.OPEN
         self.engine_rad_s: float | None = None
         """The speed the engine is asked for; None: nothing is asked."""
@@ -142,36 +138,45 @@ class ShiftContext:
         closed = snapshot.view.clutch_closed or 0.0
         return closed > self.kiss.share and snapshot.view.main_gear is not MainGear.NEUTRAL
 
-    def unloaded_us(self, snapshot: StepSnapshot) -> int | None:
-        """The earliest activation (sensor time, us) of the valve that pulls a gear out: the sleeve
-        begins to move as the plates part, where they were learned to, and its teeth are out no
-        sooner than they surely have. None while it is not known that they will."""
-        clutch, sleeve = snapshot.view.clutch, self.sheet.sleeve
+    def unloaded_us(self, snapshot: StepSnapshot, valve: ValveName | None) -> int | None:
+        """The earliest activation (sensor time, us) of a valve that pulls a gear, or a step of
+        splitter or range, out: the sleeve begins to move as the plates part, where they were
+        learned to, and its teeth are out no sooner than they surely have. None while it is not
+        known that they will."""
+        clutch = snapshot.view.clutch
         parted_us = clutch.falls_to_us(self.kiss.parted_share)
-        surely_us = self._surely_parted_us(snapshot)
+        surely_us = clutch.falls_to_us(max(0.0, self.sheet.clutch.surely_open_share - SENSED_SHARE))
         if parted_us is None or surely_us is None:
             return None
-        moves_us = parted_us - SECOND_US * sleeve.valve_delay_s
-        out_us = surely_us - SECOND_US * sleeve.least_pull_s
-        return max(snapshot.earliest_us, round(moves_us), round(out_us))
-
-    def step_unloaded_us(self, snapshot: StepSnapshot) -> int | None:
-        """The same for splitter and range, whose teeth part as soon as the sleeve moves."""
-        surely_us = self._surely_parted_us(snapshot)
-        if surely_us is None:
-            return None
-        moves_us = round(surely_us - SECOND_US * self.sheet.sleeve.valve_delay_s)
-        return max(snapshot.earliest_us, moves_us)
-
-    def _surely_parted_us(self, snapshot: StepSnapshot) -> float | None:
-        share = self.sheet.clutch.surely_open_share - SENSED_SHARE
-        return snapshot.view.clutch.falls_to_us(max(0.0, share))
+        moves_us, out_us = self.sleeves.pull_us(valve)
+        return max(snapshot.earliest_us, round(parted_us - moves_us), round(surely_us - out_us))
 
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """Commands the brake valve at a sensor time (us), and enters the switch in the filter's
         input."""
         self.board.schedule(ValveName.BRAKE, on, time_us, snapshot.now_us)
         self.brake.schedule(time_us, on, snapshot.now_us)
+
+    def main_valves_rest(self, now_us: int) -> bool:
+        """Whether no valve of the main box is driven or will be."""
+        return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())
+
+    def is_shut(self, now_us: int) -> bool:
+        """Whether samples are there of after the last valve shut that pushed a sleeve to neutral,
+        or braked it there."""
+        pushed_us = self.running.pushed_us
+        return pushed_us is None or now_us > pushed_us + SHUTS_US
+
+    def sense_sleeves(self, snapshot: StepSnapshot) -> None:
+        """What this step's samples say of the main sleeves."""
+        if math.isfinite(snapshot.supply_pa):
+            self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
+        self.sleeves.take(snapshot.view, snapshot.now_us)
+        self.brake_gauges.append((snapshot.now_us, snapshot.view.brake_gauge_pa))
+
+    def tell_sleeves(self, now_us: int) -> None:
+        """What this step has commanded of the main sleeves' valves."""
+        self.board.say_to(self.sleeves, now_us)
 
     def all_off(self, now_us: int) -> None:
         """Switches all valves off now, and enters the brake's release in the filter's input."""
@@ -211,8 +216,6 @@ class ShiftContext:
         """A predictor for a gear; None while a speed is missing or the layshaft is not free."""
         if snapshot.main is None or not snapshot.layshaft.free:
             return None
-        if math.isfinite(snapshot.supply_pa):
-            self.delays.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         layshaft = snapshot.layshaft.latest()
         ahead_us = layshaft.time_us - snapshot.now_us
         if not layshaft.is_finite or ahead_us > ESTIMATE_STALE_US:
@@ -225,12 +228,31 @@ class ShiftContext:
             self.brake,
             snapshot.layshaft.model,
             self.references,
-            self.delays.delay_us(gear),
-            self.delays.delay_sd_s(gear),
+            0,
+            0.0,
             self.drifts.rad_s(gear),
             self.drifts.spread_share(gear),
+            0,
+            0.0,
         )
+        if self.state is State.HALTED:  # it may still move
+            stroke, fire_us = self.sleeves.stroke(gear, snapshot.earliest_us), snapshot.earliest_us
+        else:
+            stroke, fire_us = self.sleeves.from_rest(gear), 0
+        predictor = self.with_stroke(predictor, stroke, fire_us)
         return predictor if self.predictor_source is None else self.predictor_source(predictor)
+
+    def with_stroke(self, predictor: GearPredictor, stroke: Stroke, fire_us: int) -> GearPredictor:
+        """The predictor for a sleeve that makes this stroke when it is fired then."""
+        delay_us = stroke.contact_us - fire_us
+        stop_us = delay_us - self.sleeves.abort_after_us(predictor.gear)
+        return replace(
+            predictor,
+            delay_us=delay_us,
+            delay_sd_s=stroke.sd_us * US,
+            stop_us=max(0, stop_us),
+            contact_speed_m_s=stroke.contact_speed_m_s,
+        )
 
     def reference_known(self, gear: MainGear) -> bool:
         """Whether the phase of a gear is known."""

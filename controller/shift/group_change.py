@@ -16,7 +16,7 @@ from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear, Range, Split
 
@@ -134,7 +134,7 @@ def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Rang
 
 
 def _push(context: ShiftContext, valve: ValveName, snapshot: StepSnapshot) -> None:
-    command, unloaded_us = context.board.command(valve), context.step_unloaded_us(snapshot)
+    command, unloaded_us = context.board.command(valve), context.unloaded_us(snapshot, valve)
     if unloaded_us is None:
         context.board.off(valve)
     elif not command.on or command.time_us > snapshot.earliest_us:

@@ -23,6 +23,8 @@ from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
 from meshpoint.controller.shift.engage import CALLS, engage, recall, retract
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
+from meshpoint.controller.shift.halt import stand
+from meshpoint.controller.shift.ringing import FREE_STATES
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
@@ -33,9 +35,10 @@ from meshpoint.controller.shift.table import (
     ShiftRecord,
     Trigger,
 )
+from meshpoint.controller.shift.to_neutral import has_left_neutral
 from meshpoint.controller.strategy_file import StrategyError
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
@@ -54,6 +57,7 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.CLUTCH_PARTING: part_clutch,
     State.COASTING: coast,
     State.ENGAGING: engage,
+    State.HALTED: stand,
     State.RETRACTING: retract,
     State.CLUTCH_CLOSING: close_clutch,
     State.FAULTED: wait_for_position,
@@ -80,6 +84,10 @@ class ShiftSequence(ShiftContext):
     def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
+        self.sense_sleeves(snapshot)
+        if not self._rests(snapshot):
+            # Forgotten once over: a sensor clock that restarts may come by that time again.
+            self.ended_us = None
         self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
         self.driveline.measure(self.state, snapshot)
@@ -87,8 +95,12 @@ class ShiftSequence(ShiftContext):
             self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
+        elif self.state in FREE_STATES and snapshot.supply_pa < self.settings.limits.supply_low_pa:
+            self._go(self.give_up(snapshot, FaultCode.LOW_SUPPLY), snapshot)
         elif self.state in NEUTRAL_WANTED and _shows_a_gear(snapshot.view):
             self._go(self._brought_in(snapshot), snapshot)
+        elif self.state in NEUTRAL_WANTED and has_left_neutral(snapshot):
+            self._go(self._out_of_neutral(snapshot), snapshot)
         for _ in range(len(State)):
             trigger = self._handle(snapshot)
             if trigger is None:
@@ -111,6 +123,15 @@ class ShiftSequence(ShiftContext):
             return Trigger.ENGAGED
         return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
+    def _out_of_neutral(self, snapshot: StepSnapshot) -> Trigger:
+        """A sleeve has not come to rest in neutral: it is brought there, brake and clutch
+        released."""
+        self.all_off(snapshot.now_us)
+        self.clutch, self.engine_rad_s = ClutchAction.OPEN, None
+        self.running.plan = self.running.release_us = None
+        self.running.returns += 1
+        return Trigger.LEFT_NEUTRAL
+
     def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:
         if self.on_transition is not None:
             self.on_transition(self.state, trigger)
@@ -126,6 +147,8 @@ class ShiftSequence(ShiftContext):
         plan, self.shift.plan, self.shift.release_us = self.shift.plan, None, None
         if self.state is State.SYNCHRONISING:
             self.shift.pulses = max(0, self.shift.pulses - 1)
+        if self.state is State.DISENGAGING:
+            self.shift.pulls = max(0, self.shift.pulls - 1)
         if self.shift.blocks >= self.settings.limits.blocks:
             if row == SLIP_ROW and (self.state, Trigger.TOO_SLOW) in TRANSITIONS:
                 self.shift.blocks = 0
@@ -171,7 +194,6 @@ class ShiftSequence(ShiftContext):
         if self.ended_us is None:
             return False
         rest_s = self.sheet.clutch.open_delay_s + self.sheet.clutch.close_delay_s
-        # A sensor clock that restarted may lie behind: then nobody knows how long ago it was.
         return 0 <= snapshot.now_us - self.ended_us < rest_s * SECOND_US
 
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:

@@ -9,15 +9,18 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.context import FALL_US as SEEN_LATE_US
+from meshpoint.controller.shift.context import (
+    FALL_US as SEEN_LATE_US,
+)
 from meshpoint.controller.shift.context import (
     SEQUENCE_CLUTCH_CLOSED_SHARE,
     ShiftContext,
 )
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode
+from meshpoint.units import US
 
 SHORT_RAD_S: Final = 1.0
 """The slip may be this much less than asked for (10 rpm)."""
@@ -86,12 +89,18 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     """The slip (rad/s) to ask for: the slip wanted once the plates are measured apart, plus what
-    drag takes from their parting on. The measurement comes up to a sensor read and a tick later."""
-    sheet, target = context.sheet, context.running.target
+    drag takes from their parting on. The measurement comes up to a sensor read and a tick later.
+
+    Wanted is what the settings say, and with shafts so light that drag takes more than that within
+    a stroke, as much as leaves the least slip at its end."""
+    sheet, target, window = context.sheet, context.running.target, context.settings.window
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(target.split)
-    clutch = sheet.clutch
+    clutch, sleeve = sheet.clutch, sheet.sleeve
     parted_s = (context.kiss.share - clutch.surely_open_share) * clutch.open_delay_s
-    fall_s = parted_s + SEEN_LATE_US / (1000.0 * MS_IN_US)
-    return context.settings.window.raised_rad_s + ratio * drag_rad_s2 * fall_s
+    fall_s = parted_s + SEEN_LATE_US * US
+    ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
+    stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s
+    wanted = max(window.raised_rad_s, window.least_rad_s + ratio * drag_rad_s2 * stroke_s)
+    return wanted + ratio * drag_rad_s2 * fall_s

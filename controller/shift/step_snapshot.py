@@ -7,6 +7,7 @@ from typing import Final
 
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.shift.valve_board import Driven
@@ -49,3 +50,10 @@ class StepSnapshot:
     """The step in which that torque is reported."""
     is_self_tested: bool = True
     """Whether the guard's self-test is passed: before that it lets no valve be driven."""
+    more_lead_us: int = 0
+    """By how much more than set an activation is sent ahead, since one was refused."""
+
+    @property
+    def at_once_us(self) -> int:
+        """When a valve can be switched against a sleeve's motion, which waits for no lead."""
+        return self.now_us + BUS_US + self.more_lead_us

@@ -9,13 +9,15 @@ from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_measurement import brake_holds
-from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.units import SECOND_US
 
 KEEP_US: Final = 6 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
@@ -39,7 +41,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     predictor = context.predictor(gear, snapshot)
     if predictor is None:
         return None
-    fired = _fire_if_due(context, predictor, snapshot)
+    fired = fire_if_due(context, predictor, snapshot)
     if fired is not None:
         return fired
     if shift.release_us is not None and snapshot.earliest_us >= shift.release_us:
@@ -58,7 +60,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     _plan_release(context, predictor, snapshot)
     if shift.release_us is not None and _acting(context, gear).aims:
         # The firing may come before the release: the sleeve takes longer than the brake to fade.
-        _plan_firing(context, predictor, snapshot)
+        plan_firing(context, predictor, snapshot, snapshot.earliest_us)
     return None
 
 
@@ -70,7 +72,7 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     predictor = context.predictor(shift.target.main, snapshot)
     if predictor is None:
         return None
-    fired = _fire_if_due(context, predictor, snapshot)
+    fired = fire_if_due(context, predictor, snapshot)
     if fired is not None:
         return fired
     if predictor.steady_slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
@@ -79,11 +81,11 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         shift.plan = shift.release_us = None
         context.all_off(snapshot.now_us)
         return Trigger.TOO_FAST
-    _plan_firing(context, predictor, snapshot)
+    plan_firing(context, predictor, snapshot, snapshot.earliest_us)
     return None
 
 
-def _fire_if_due(
+def fire_if_due(
     context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot
 ) -> Trigger | None:
     """Enters the firing as done once the activation that was sent can no longer be changed."""
@@ -95,6 +97,7 @@ def _fire_if_due(
         shift.plan = None
         return None
     shift.attempts += 1
+    shift.first_fire_us = shift.first_fire_us or plan.fire_us
     shift.measured_contact_us = None
     context.free_predictor, context.firing_predictor = None, predictor
     context.decision = plan._replace(decision=ShiftDecision.COMMITTED)
@@ -172,7 +175,20 @@ def _acting(context: ShiftContext, gear: MainGear) -> EngagementStrategy:
     return context.strategist.acting(context.reference_known(gear))
 
 
-def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> None:
+def _stays_in_window(context: ShiftContext, predictor: GearPredictor, plan: Plan) -> bool:
+    """Whether the guard will let the sleeve go on to its gear: its slip is inside the guard's
+    window already as it is fired, for the layshaft may fall no more, and still is at the latest
+    contact of a gearbox within its data sheet."""
+    window = context.settings.guard
+    latest_us = plan.contact_us + context.sheet.sleeve.delay_limit_s * SECOND_US
+    fired, met = predictor.slip_rad_s(plan.fire_us), predictor.slip_rad_s(latest_us)
+    return window.slip_low_rad_s <= met and fired <= window.slip_high_rad_s
+
+
+def plan_firing(
+    context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot, earliest_us: int
+) -> None:
+    """Plans the firing anew, for an activation at `earliest_us` or later, and sends it."""
     shift, strategist = context.running, context.strategist
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
@@ -180,19 +196,25 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
         shift.reference_source = context.references.source(shift.target.main)
     acting = _acting(context, shift.target.main)
     shift.strategy, shift.aimed = strategist.wire(acting), acting.aims
-    contact_us, plan = acting.contact(predictor, snapshot.now_us, snapshot.earliest_us), None
+    contact_us, plan = acting.contact(predictor, snapshot.now_us, earliest_us), None
     if contact_us is not None:
         plan = strategist.plan_at(predictor, contact_us, ShiftDecision.FIRE)
     if plan is not None and plan.slip_rad_s < context.settings.window.least_rad_s:
         plan = None  # the gear would be too slow by then: it is, or will be, the engine's turn
+    if plan is not None and not _stays_in_window(context, predictor, plan):
+        plan = None
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
         plan = None  # too far ahead: the valve side would refuse it
     if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         plan = None
+    mine = SLEEVE_OF_MAIN[shift.target.main].sleeve
+    others_rest = all(map(snapshot.view.rests, set(MAIN_SLEEVES) - {mine}))
+    if not (others_rest and context.is_shut(snapshot.now_us)):
+        plan = None  # the guard lets no sleeve go while the other one may move
     if plan is None:
         context.board.off(valve)
         waiting = ShiftDecision.WAIT_FOR_GAP if acting.aims else ShiftDecision.WAIT_FOR_SLIP
-        context.decision = strategist.plan_at(predictor, snapshot.earliest_us, waiting)._replace(
+        context.decision = strategist.plan_at(predictor, earliest_us, waiting)._replace(
             fire_us=0, contact_us=0
         )
     else:

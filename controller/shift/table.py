@@ -23,6 +23,8 @@ class Trigger(IntEnum):
     MAIN_BOX_STAYS = auto()
     """Only the splitter moves: the main box stays in its gear."""
     MAIN_BOX_NEUTRAL = auto()
+    LEFT_NEUTRAL = auto()
+    """A sleeve that was to rest in neutral does not."""
     STEPS_IN = auto()
     """Splitter and range are in the steps of the new gear and synchronised."""
     TOO_SLOW = auto()
@@ -35,6 +37,8 @@ class Trigger(IntEnum):
     ENGAGED = auto()
     BLOCKED = auto()
     """The sleeve has to go back: it rests on a tooth, or would meet one."""
+    ABORTED = auto()
+    """The sleeve would meet a tooth: it is stopped short of the teeth."""
     RETRACTED = auto()
     GAVE_UP = auto()
     GEAR_UNKNOWN = auto()
@@ -64,6 +68,10 @@ TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
     (_S.COASTING, _T.TOO_FAST): _S.SYNCHRONISING,
     (_S.ENGAGING, _T.ENGAGED): _S.CLUTCH_CLOSING,
     (_S.ENGAGING, _T.BLOCKED): _S.RETRACTING,
+    (_S.ENGAGING, _T.ABORTED): _S.HALTED,
+    (_S.HALTED, _T.FIRED): _S.ENGAGING,
+    (_S.HALTED, _T.BLOCKED): _S.RETRACTING,
+    (_S.HALTED, _T.ENGAGED): _S.CLUTCH_CLOSING,
     (_S.RETRACTING, _T.RETRACTED): _S.COASTING,
     (_S.CLUTCH_CLOSING, _T.FOUND_IN_GEAR): _S.IN_GEAR,
     (_S.CLUTCH_CLOSING, _T.FOUND_IN_NEUTRAL): _S.NEUTRAL,
@@ -83,6 +91,7 @@ IN_SHIFT: Final = (
     _S.CLUTCH_PARTING,
     _S.COASTING,
     _S.ENGAGING,
+    _S.HALTED,
     _S.RETRACTING,
 )
 """The states of a shift that is under way; from each it can be given up."""
@@ -95,6 +104,8 @@ STEPS_ARE_IN: Final = (_S.SYNCHRONISING, _S.SPEED_RAISING, _S.CLUTCH_PARTING, _S
 its sleeve is fired."""
 NEUTRAL_WANTED: Final = (_S.STEPS_CHANGING, *STEPS_ARE_IN)
 """A gear that is in mesh here was brought in by somebody else."""
+for _state in NEUTRAL_WANTED:
+    TRANSITIONS[_state, _T.LEFT_NEUTRAL] = _S.DISENGAGING
 for _state in STEPS_ARE_IN:
     TRANSITIONS[_state, _T.ENGAGED] = _S.CLUTCH_CLOSING
 
@@ -118,6 +129,12 @@ class ShiftRecord:
     attempts: int = 0
     calls: int = 0
     """How often a sleeve was recalled before it had moved."""
+    aborts: int = 0
+    """How often a sleeve on its way was stopped short of the teeth."""
+    halt_m: float = 0.0
+    """Where the sleeve stood after the last abort, from neutral."""
+    first_fire_us: int | None = None
+    """The activation of the first firing."""
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""
     beyond_us: int | None = None
@@ -132,6 +149,16 @@ class ShiftRecord:
     """How the engine's torque is taken away; None: at once."""
     owed_share: float = 0.0
     """What rounding has left out of the torque asked for."""
+    pulls: int = 0
+    """How often the old gear was pulled."""
+    pushed_us: int | None = None
+    """When a valve last went off that pushed a sleeve on to neutral, or braked it there."""
+    is_braked: bool = False
+    """Whether it braked the sleeve."""
+    returns: int = 0
+    """How often a sleeve that had left neutral was brought back."""
+    pull_again_us: int = 0
+    """A gear that has not come out is not pulled again before."""
     clutch_us: int | None = None
     """When the clutch set off to open."""
     release_us: int | None = None

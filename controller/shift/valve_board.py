@@ -6,28 +6,15 @@ Hardware that can schedule gets the activation time with the command. Hardware t
 
 from __future__ import annotations
 
-from enum import IntEnum
 from operator import itemgetter
 from typing import Final, NamedTuple
 
+from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
-
-
-class ValveName(IntEnum):
-    """The nine valves, in the order of the command frame."""
-
-    BRAKE = 0
-    SPLIT_LOW = 1
-    SPLIT_HIGH = 2
-    MAIN_FIRST = 3
-    MAIN_SECOND = 4
-    MAIN_CRAWL = 5
-    MAIN_THIRD = 6
-    RANGE_LOW = 7
-    RANGE_HIGH = 8
-
 
 Driven = tuple[bool, ...]
 """A flag of each valve, in the order of `ValveName`."""
@@ -54,19 +41,34 @@ def driven_or_pending(status: ValveStatus | None) -> Driven:
 
 _ACTION: Final = itemgetter(0)
 _TIME_US: Final = itemgetter(1)
-OFF_HELD_US: Final = 1_000_000
-"""An `off` older than this is sent as OFF_NOW, long before its 32-bit time becomes ambiguous."""
+OFF_HELD_US: Final = 1_000
+"""An `off` older than this is sent as OFF_NOW: a valve side that has not heard it before would
+refuse it as too late, and leave the valve on."""
+
+
+FOREVER_US: Final = 1 << 62
 
 
 class SwitchCommand(NamedTuple):
-    """The valve is to be `on` from sensor time `time_us`; `before` is its state until then."""
+    """The valve is to be `on` from sensor time `time_us`; `before` is its state until then. A pulse
+    ends at `until_us`."""
 
     time_us: int
     on: bool
     before: bool
+    until_us: int = FOREVER_US
+
+    def at(self, time_us: int) -> bool:
+        """Whether the valve is driven at a sensor time."""
+        if time_us < self.time_us:
+            return self.before
+        return self.on and time_us < self.until_us
+
+    def rests(self, now_us: int) -> bool:
+        """Whether the valve is off and stays so."""
+        return not self.at(now_us) and (not self.on or now_us >= self.until_us)
 
 
-FOREVER_US: Final = 1 << 62
 OFF: Final = SwitchCommand(-(1 << 62), False, False)
 
 
@@ -85,6 +87,14 @@ class ValveBoard:
         self._commands[valve] = SwitchCommand(time_us, on, before)
         self._message = None
 
+    def pulse(self, valve: ValveName, on_us: int, off_us: int, now_us: int) -> None:
+        """Switch the valve on from one sensor time to another; replaces what was still to come.
+
+        A valve has one slot at the valve side: the end is sent when the beginning has passed."""
+        before = self.driven(valve, now_us)
+        self._commands[valve] = SwitchCommand(on_us, True, before, off_us)
+        self._message = None
+
     def all_off(self) -> None:
         """Everything off at once."""
         self._commands = dict.fromkeys(ValveName, OFF)
@@ -97,19 +107,29 @@ class ValveBoard:
 
     def driven(self, valve: ValveName, time_us: int) -> bool:
         """Whether the valve is driven at a sensor time, as commanded."""
-        command = self._commands[valve]
-        return command.on if time_us >= command.time_us else command.before
+        return self._commands[valve].at(time_us)
 
     def command(self, valve: ValveName) -> SwitchCommand:
         """The command as it stands."""
         return self._commands[valve]
 
+    def say_to(self, sleeves: Sleeves, now_us: int) -> None:
+        """What is commanded of the main sleeves' valves; what goes off at once takes the bus's
+        time."""
+        for valve in SLEEVE_VALVE.values():
+            command = self._commands[valve]
+            switches = [(now_us + BUS_US if command is OFF else command.time_us, command.on)]
+            if command.until_us < FOREVER_US:
+                switches.append((command.until_us, False))
+            sleeves.expected(valve, switches)
+
     def next_switch_us(self, now_us: int) -> int | None:
         """The next sensor time at which hardware that cannot schedule needs a frame; else None."""
         if self._timing is ValveTiming.SCHEDULED:
             return None
-        times = [c.time_us for c in self._commands.values() if c.time_us > now_us]
-        return min(times, default=None)
+        times = [t for c in self._commands.values() for t in (c.time_us, c.until_us) if t > now_us]
+        next_us = min(times, default=FOREVER_US)
+        return None if next_us == FOREVER_US else next_us
 
     def message(self, now_us: int) -> ValveCommand:
         """The command frame's content at a sensor time; kept until something changes."""
@@ -126,13 +146,18 @@ class ValveBoard:
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message's content changes although no new command is given."""
         held_us = 0 if self._timing is ValveTiming.IMMEDIATE else OFF_HELD_US + 1
-        times = [c.time_us + held_us for c in self._commands.values()]
+        times = [
+            switch_us + held_us
+            for c in self._commands.values()
+            for switch_us in (c.time_us, c.until_us)
+        ] + [c.time_us for c in self._commands.values() if c.until_us < FOREVER_US]
         return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)
 
     def _action(self, command: SwitchCommand, now_us: int) -> tuple[ValveAction, int]:
         if self._timing is ValveTiming.IMMEDIATE:
-            on = command.on if now_us >= command.time_us else command.before
-            return (ValveAction.ON_NOW if on else ValveAction.OFF_NOW), 0
+            return (ValveAction.ON_NOW if command.at(now_us) else ValveAction.OFF_NOW), 0
+        if command.until_us < FOREVER_US and now_us >= command.time_us:
+            command = SwitchCommand(command.until_us, False, True)
         if not command.on and command.time_us < now_us - OFF_HELD_US:
             return ValveAction.OFF_NOW, 0
         action = ValveAction.ON_AT if command.on else ValveAction.OFF_AT

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import meshpoint
 from meshpoint import api
+from meshpoint.gearbox.keys import field_docs
 from meshpoint.testbench.help.reference import GENERATED
 
 HEAD: Final = f"""\
@@ -46,7 +47,8 @@ def _entries() -> Iterator[str]:
             yield f"## `{name}`\n\n{_text(value)}\n\n`{name}{_signature(value)}`\n"
 
 
-def _class(name: str, kind: type[Any]) -> Iterator[str]:
+def _class(name: str, kind: type) -> Iterator[str]:
+    docs = field_docs(kind)
     yield f"## class `{name}`\n\n{_text(kind)}\n"
     if issubclass(kind, enum.Enum):
         members = ", ".join(f"`{member.name}`" for member in kind)
@@ -55,7 +57,11 @@ def _class(name: str, kind: type[Any]) -> Iterator[str]:
     if "__init__" in vars(kind) and not _is_plain(kind):
         yield f"`{name}{_signature(kind.__init__)}`\n"
     fields = getattr(kind, "_fields", None) or tuple(getattr(kind, "__dataclass_fields__", ()))
-    if fields:
+    if fields and docs.keys() >= set(fields):
+        yield "Fields:\n"
+        yield from (f"- `{field}`: {docs[field]}" for field in fields)
+        yield "\nWith these:\n" if any(_members(kind)) else ""
+    elif fields:
         yield f"Fields: {', '.join(f'`{field}`' for field in fields)}.\n"
     for member, value in _members(kind):
         if isinstance(value, property):

@@ -13,7 +13,6 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import (
-    ControllerState,
     ControllerStatus,
     Message,
     ShiftOutcome,
@@ -30,6 +29,7 @@ from meshpoint.testbench.results.faults import explain
 from meshpoint.testbench.results.monitor import RowMonitor
 from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.states import standing_words
 
 M = TypeVar("M", bound=Message)
 DEFAULT_TIMEOUT_S = 30.0
@@ -168,10 +168,7 @@ class Watching(ABC):
         status = self.status
         if status is None:
             return f"{what}: no controller was heard"
-        state = status.state.name.lower().replace("_", " ")
-        if status.state is ControllerState.IN_GEAR:
-            state = f"in gear {status.current_gear}"
-        return f"{what}: no outcome; the controller stands {state}"
+        return f"{what}: no outcome; the controller stands {standing_words(status)}"
 
     # ------------------------------------------------------- how it goes on ----
 

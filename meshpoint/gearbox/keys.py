@@ -31,15 +31,20 @@ KEY_UNITS: Final = {
     "_kgm2": "kg m2",
     "_m_s": "m/s",
     "_percent": "%",
+    "_nsm": "N s/m",
     "_nms": "Nm s",
     "_rpm": "rpm",
     "_bar": "bar",
     "_deg": "deg",
     "_nm": "Nm",
     "_kj": "kJ",
+    "_cm2": "cm2",
+    "_cm3": "cm3",
+    "_kg": "kg",
     "_mm": "mm",
     "_ms": "ms",
     "_us": "us",
+    "_n": "N",
 }
 """A key's ending, and the unit it stands for; the longest that fits counts."""
 FLOAT_DIGITS: Final = 17

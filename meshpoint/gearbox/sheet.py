@@ -38,7 +38,7 @@ from meshpoint.gearbox.tables import (
     text,
     to_table,
 )
-from meshpoint.units import BAR, MM, MS, RPM
+from meshpoint.units import BAR, CM2, CM3, MM, MS, RPM
 
 SHEET_NAMES: Final = ("thesis", "truck12")
 BASED_ON: Final = "based_on"
@@ -259,18 +259,41 @@ class SleeveActuator:
     """Way from neutral to fully in."""
     speed_m_s: float = quantity("speed_m_s", 0.02, 2.0)
     """Speed of a sleeve that nothing stands before."""
-
-    @property
-    def least_pull_s(self) -> float:
-        """From a pulling valve's current until a gear's teeth may be out, at the earliest: at the
-        sheet's speed all the way, less the delay's scatter."""
-        way_s = (self.stroke_m - self.to_contact_m) / self.speed_m_s
-        return self.valve_delay_s + max(0.0, way_s - self.delay_limit_s)
-
-    @property
-    def contact_speed_m_s(self) -> float:
-        """Speed of the sleeve as it meets the gear: it gets there under a constant force."""
-        return 2.0 * self.to_contact_m / (self.delay_s - self.valve_delay_s)
+    valve_delay_tolerance_s: float = quantity(
+        "valve_delay_tolerance_ms", 0.01, 20.0, MS, default=2.0 * MS
+    )
+    """By how much a valve's delay may differ from that, on and off, from valve to valve."""
+    bore_m2: float = quantity("bore_cm2", 1.0, 200.0, CM2, default=18.0 * CM2)
+    """Area of the piston on which a chamber's pressure acts."""
+    mass_kg: float = quantity("mass_kg", 0.1, 50.0, default=3.0)
+    """All that moves: piston, rod, fork and sleeve."""
+    friction_n: float = quantity("friction_n", 0.0, 5000.0, default=120.0)
+    """Friction of a sleeve that moves: seals, rod and detent."""
+    friction_tolerance: float = quantity(
+        "friction_tolerance_percent", 0.1, 100.0, 0.01, default=0.3
+    )
+    """By how much that may differ, from sleeve to sleeve and with oil and wear."""
+    damping_nsm: float = quantity("damping_nsm", 0.0, 20000.0, default=1200.0)
+    """Force against the motion a m/s of speed."""
+    damping_tolerance: float = quantity(
+        "damping_tolerance_percent", 0.1, 300.0, 0.01, default=70.0 * 0.01
+    )
+    """By how much the damping may differ, from sleeve to sleeve and with the oil's temperature."""
+    dead_m3: float = quantity("dead_cm3", 0.1, 2000.0, CM3, default=35.0 * CM3)
+    """Volume of a chamber and its pipe with the piston at its near end."""
+    dead_tolerance: float = quantity("dead_tolerance_percent", 0.1, 1000.0, 0.01, default=0.6)
+    """By how much that may differ: a pipe's length is seldom stated."""
+    vent_share: float = quantity("vent_percent", 10.0, 500.0, 0.01, default=1.25)
+    """Conductance of a valve's way out over that of its way in. The way in itself is the one that
+    gives `delay_ms`."""
+    vent_tolerance: float = quantity("vent_tolerance_percent", 0.1, 100.0, 0.01, default=0.25)
+    """By how much that share may differ."""
+    detent_n: float = quantity("detent_n", 0.0, 5000.0, default=600.0)
+    """The greatest force of the detent that holds a sleeve in neutral: 400 to 800 N is usual."""
+    detent_tolerance_n: float = quantity("detent_tolerance_n", 0.1, 5000.0, default=150.0)
+    """By how much the detent's force may differ."""
+    detent_m: float = quantity("detent_mm", 0.1, 10.0, MM, default=2.0 * MM)
+    """From neutral to where the detent no longer acts."""
 
     def __post_init__(self) -> None:
         if self.to_contact_m >= self.stroke_m:

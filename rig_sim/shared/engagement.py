@@ -19,7 +19,7 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
-from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
+from meshpoint.rig_sim.shared.sleeves import MainSleeve
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.units import RPM
 
@@ -66,7 +66,7 @@ class Engaged(NamedTuple):
     tally: Tally = NO_TALLY
 
 
-SleeveT = TypeVar("SleeveT", bound=SleeveAxis)
+SleeveT = TypeVar("SleeveT", bound=MainSleeve)
 
 
 class Engagement(ABC, Generic[SleeveT]):
@@ -107,12 +107,8 @@ class Engagement(ABC, Generic[SleeveT]):
         if self.scripted:
             if on:
                 self._say(time_us, f"valve {valve.name} ignored: the bench moves the sleeves")
-        elif not on:
-            self._valve_off(where.sleeve, where.direction, time_us)
-        elif opposite in self._energised:
-            self._valve_off(where.sleeve, -where.direction, time_us)
         else:
-            self._valve_on(where.sleeve, where.direction, time_us)
+            self._drive(where.sleeve, where.direction, on, opposite in self._energised, time_us)
 
     def brake_air(self, on: bool) -> None:
         """The brake valve's delay is over: air comes in, or goes out."""
@@ -126,32 +122,17 @@ class Engagement(ABC, Generic[SleeveT]):
         self.engaged.append(Engaged(event, MainGear.NEUTRAL, time_us, 0.0, 0.0))
         self._say(time_us, event.name)
 
+    @abstractmethod
     def due(self, time_us: float) -> None:
         """Do what is due now; the plant stands at this instant."""
-        for name, sleeve in self.sleeves.items():
-            if sleeve.contact_us <= time_us:
-                self._contact(name, time_us)
-            if sleeve.unmesh_us <= time_us:
-                self._unmesh(name)
-            if sleeve.neutral_us <= time_us:
-                sleeve.arrive(time_us)
-                self._blocked.discard(name)
 
+    @abstractmethod
     def script_release(self, time_us: float, duration_s: float) -> None:
         """The bench moves every main sleeve to neutral, within this time."""
-        for sleeve in self.sleeves.values():
-            if sleeve.state in (SleeveState.NEUTRAL, SleeveState.RETRACT):
-                continue  # neutral is there or near: nothing takes a sleeve longer than the script
-            if sleeve.stands(time_us):
-                sleeve.release(time_us, duration_s)
-            else:
-                sleeve.let_go(time_us)
 
+    @abstractmethod
     def script_engage(self, gear: MainGear, time_us: float) -> None:
-        """The bench moves the sleeve of this gear in, with a delay drawn as ever."""
-        where = SLEEVE_OF_MAIN[gear]
-        delay_s = self._delay_s(where.sleeve, where.direction)
-        self.sleeves[where.sleeve].engage(time_us, where.direction, delay_s)
+        """The bench moves the sleeve of this gear in."""
 
     def ready(self, gear: MainGear, drive_gear: int) -> None:
         """The bench's return to a gear has ended here."""
@@ -159,23 +140,12 @@ class Engagement(ABC, Generic[SleeveT]):
         slip = self._plant.slip_rad_s(gear) if gear else 0.0
         self._note(EngagementEvent.READY, gear, phase, slip, drive_gear)
 
-    def _valve_on(self, name: Sleeve, direction: int, time_us: float) -> None:
-        sleeve = self.sleeves[name]
-        if not sleeve.stands(time_us):
-            self._say(time_us, f"activation of {name.name} lost: {sleeve.state.name}")
-        elif sleeve.state is SleeveState.NEUTRAL:
-            sleeve.engage(time_us, direction, self._delay_s(name, direction))
-        elif sleeve.side == -direction:
-            sleeve.release(time_us, self._delay_s(name, direction))
-
-    def _valve_off(self, name: Sleeve, direction: int, time_us: float) -> None:
-        sleeve = self.sleeves[name]
-        if sleeve.side == direction:
-            under_way = sleeve.state in (SleeveState.APPROACH, SleeveState.FACE, SleeveState.ENTER)
-            if under_way and not sleeve.stands(time_us):
-                sleeve.let_go(time_us)
-        elif sleeve.state is SleeveState.RETRACT and sleeve.meshed:
-            sleeve.hold(time_us)
+    @abstractmethod
+    def _drive(
+        self, name: Sleeve, direction: int, on: bool, is_opposed: bool, time_us: float
+    ) -> None:
+        """The coil that moves a sleeve this way has been switched; is_opposed: the opposite one is
+        on."""
 
     @abstractmethod
     def _contact(self, name: Sleeve, time_us: float) -> None:
@@ -184,10 +154,6 @@ class Engagement(ABC, Generic[SleeveT]):
     @abstractmethod
     def _unmesh(self, name: Sleeve) -> None:
         """The teeth leave each other."""
-
-    @abstractmethod
-    def _delay_s(self, name: Sleeve, direction: int) -> float:
-        """Delay from the valve's activation to contact or neutral; direction of the movement."""
 
     def _another_meshed(self, name: Sleeve) -> bool:
         return any(sleeve.meshed for other, sleeve in self.sleeves.items() if other is not name)

@@ -1,4 +1,4 @@
-"""Coupling sleeves along their axis: states, delays, positions.
+"""Coupling sleeves along their axis: states, and the law of a pure delay.
 
 The thesis regards valve, actuator and sleeve as a pure delay from activation to contact. Around it
 lies the smallest axial law that gives the position sensor something true to show:
@@ -11,8 +11,8 @@ lies the smallest axial law that gives the position sensor something true to sho
   constant speed. Valve off in ENTER at full stroke or in LOCKED: it stays (detent, back taper).
 * Opposite valve on in LOCKED, or in ENTER at full stroke: RETRACT. It rests for the valve's delay,
   then moves under constant force and reaches neutral at the drawn time; locked teeth leave each
-  other on the way, at the contact position. Valve off before they have: it goes back. (Teeth not
-  yet at a flank carry nothing; they count as apart from the activation on.)
+  other on the way, at the contact position. Valve off before it moves: it stays; later it goes on
+  to neutral. (Teeth not yet at a flank carry nothing; they count as apart from the activation on.)
 * Both valves on: no net force. A sleeve under way falls back as with its valve off, any other
   stays.
 * One activation moves a sleeve by one position, and only a sleeve that stands: in neutral (towards
@@ -54,7 +54,7 @@ class SleeveEvent(IntEnum):
     ON_TOOTH = 3  # contact, tooth on tooth
     IN_GAP = 4  # contact in the gap, or carried to it
     AT_FLANK = 5  # the slip has brought the tooth to the flank
-    HELD = 6  # a release given up before the teeth left each other
+    HELD = 6  # a release given up before the sleeve has moved
     ARRIVED = 7  # back in neutral
     EJECTED = 8  # a flank met before the teeth overlap enough; preset truck only
 
@@ -117,6 +117,32 @@ def resting(since_us: float, position_m: float) -> Stroke:
     return Stroke(since_us, since_us, since_us, position_m, position_m, 1)
 
 
+class MainSleeve(Protocol):
+    """What is asked of a main sleeve, however it moves. `side` is the direction of the gear it is
+    at or moves to or from, -1 or +1, and 0 where it stands between its gears."""
+
+    side: int
+    state: SleeveState
+
+    @property
+    def meshed(self) -> bool:
+        """Whether the teeth of gear and sleeve overlap."""
+
+    @property
+    def next_us(self) -> float:
+        """When something of it is due."""
+
+    @property
+    def stroke_end_us(self) -> float:
+        """When the present movement ends or has ended; never, where that is not known yet."""
+
+    def position_m(self, time_us: float) -> float:
+        """Signed distance from neutral, at most 10 ms before the newest change."""
+
+    def moves_after(self, time_us: float) -> bool:
+        """Whether the position at or after that instant may differ from the present one."""
+
+
 class SleeveAxis:
     """One sleeve: axial state and position. `side` is the direction of the gear it is at or moves
     to or from, -1 or +1, and 0 in neutral."""
@@ -161,6 +187,11 @@ class SleeveAxis:
         """Whether the sleeve is fully in, where its detent holds it."""
         return self.state in (S.ENTER, S.LOCKED) and self._strokes[-1].end_us <= time_us
 
+    def has_set_off(self, time_us: float) -> bool:
+        """Whether the present movement has begun."""
+        stroke = self._strokes[-1]
+        return stroke.at(time_us) != stroke.at(stroke.since_us)
+
     def stands(self, time_us: float) -> bool:
         """Whether an activation moves it: in neutral, locked, or in the gap at full stroke."""
         return self.state in (S.NEUTRAL, S.LOCKED) or self.at_full_stroke(time_us)
@@ -195,7 +226,7 @@ class SleeveAxis:
         self._move(Stroke(time_us, time_us, self.neutral_us, from_m, 0.0, 1))
 
     def hold(self, time_us: float) -> None:
-        """The release is given up while the teeth still overlap: back to full stroke."""
+        """The release is given up before the sleeve has moved: on to full stroke."""
         self._go(E.HELD)
         self.unmesh_us = self.neutral_us = NEVER_US
         self._move_in(time_us)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.shared.engagement import Engagement
+from meshpoint.rig_sim.shared.delayed_engagement import EngagementByDelay
 from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
 from meshpoint.rig_sim.thesis.delays import Delays
 from meshpoint.rig_sim.thesis.plant import Crossing, Plant
 
 
-class ThesisEngagement(Engagement[SleeveAxis]):
+class ThesisEngagement(EngagementByDelay[SleeveAxis]):
     """The contact rule of the preset `thesis`: a sleeve without mass, teeth without friction."""
 
     def __init__(

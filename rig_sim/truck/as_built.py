@@ -48,6 +48,7 @@ LATER: Final = (
         "disturbance.",
     ),
     ("driveline.tyre_relaxation_m", "drag.propeller_nm"),
+    ("sleeve.static_factor", "sleeve.detent_mm", "sleeve.valve_"),
 )
 """What was added later, in the order of its coming: all names that begin so. It is drawn last, so
 that a seed still gives the same gearbox as before."""

@@ -12,28 +12,46 @@ strike: J_eq dw^2 (1 - e^2) / 2.
 from __future__ import annotations
 
 import math
-from typing import Final
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.shared.engagement import GEAR_AT, Engagement, Tally
-from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
+from meshpoint.rig_sim.parts.cylinder import Cylinder
+from meshpoint.rig_sim.shared.engagement import Engagement, Tally
+from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.plant import TruckPlant
-from meshpoint.rig_sim.truck.sleeves import TruckSleeve, axial
+from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES
+from meshpoint.rig_sim.truck.sleeves import TruckSleeve
 from meshpoint.units import MM
 
 SETTLED_RAD_S: Final = 0.02
 """A flank that would rebound more slowly than this stays in contact."""
-MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+TruckSleeveT = TypeVar("TruckSleeveT", bound=TruckSleeve)
 ROW_OF_SLEEVE: Final = {name: row for row, name in enumerate(MAIN_SLEEVES)}
 
 
-class TruckEngagement(Engagement[TruckSleeve]):
-    """The two main sleeves and what they do to the plant."""
+class AxisTruth(NamedTuple):
+    """A main sleeve along its axis. Pairs: of the side it moves to with positive x, and of the
+    other one."""
+
+    position_m: float
+    speed_m_s: float
+    pressures_pa: tuple[float, float]
+    """In the two chambers, absolute."""
+    coils: tuple[bool, bool]
+    """Whether the valves' coils are driven, at the truth's own instant."""
+    spools: tuple[bool, bool]
+    """Whether the valves feed their chambers."""
+
+
+class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
+    """The teeth of the two main sleeves and what they do to the plant, however the sleeves move."""
 
     def __init__(
         self,
@@ -41,14 +59,8 @@ class TruckEngagement(Engagement[TruckSleeve]):
         built: AsBuilt,
         plant: TruckPlant,
         delays: TruckDelays,
-        engaged: MainGear,
+        sleeves: dict[Sleeve, TruckSleeveT],
     ) -> None:
-        axis = axial(built, sheet.dog.radius_m)
-        where = SLEEVE_OF_MAIN[engaged]
-        sleeves = {
-            name: TruckSleeve(sheet.sleeve, where.direction if name is where.sleeve else 0, axis)
-            for name in MAIN_SLEEVES
-        }
         super().__init__(sheet, plant, sleeves)
         self._truck = plant
         self._delays = delays
@@ -72,22 +84,31 @@ class TruckEngagement(Engagement[TruckSleeve]):
             return tally
         return tally._replace(face_us=tally.face_us + round(self._plant.time_us - since_us))
 
+    @abstractmethod
     def reset_sleeve(self, name: Sleeve) -> None:
         """A main sleeve stands in neutral at once, all main valves off; nothing is recorded."""
-        self._leave_face(name)
-        self._energised.clear()
-        self._truck.unwatch(ROW_OF_SLEEVE[name])
-        self.sleeves[name] = TruckSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
 
-    def due(self, time_us: float) -> None:
-        """Does what is due now; the plant has been advanced to this time."""
-        for name, sleeve in self.sleeves.items():
-            if sleeve.overlap_us <= time_us:
-                sleeve.overlapped()
-                self._watch_gap(name)
-            if sleeve.unload_us <= time_us:
-                self._unload(name, time_us)
-        super().due(time_us)
+    @abstractmethod
+    def expected_contact_us(self, gear: MainGear, fire_us: float) -> tuple[float, float]:
+        """When the sleeve of this gear would meet it, its coil switched on at `fire_us`, with all
+        that is known now: from where it stands or moves, its valves as they are. Mean and standard
+        deviation, us."""
+
+    @abstractmethod
+    def change_conditions(self, built: AsBuilt) -> None:
+        """Another oil temperature, or another supply."""
+
+    @abstractmethod
+    def axis(self, name: Sleeve, time_us: float) -> AxisTruth:
+        """A main sleeve along its axis at an instant; see `TruckTruth.axis`."""
+
+    def jam(self, name: Sleeve, jammed: bool) -> None:
+        """A main sleeve is stuck, or no more."""
+        self.sleeves[name].jam(self._plant.time_us, jammed)
+
+    @abstractmethod
+    def alter(self, name: Sleeve, change: Callable[[Cylinder], None]) -> None:
+        """A main sleeve's cylinder is another from now on; a pure delay has none."""
 
     def left(self, row: int, side: int) -> None:
         """The watched phase has left its span: the tooth reaches a gap from the face, or a flank
@@ -100,7 +121,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
                 self._block(name, time_us)
             else:
                 self._drop_in(name, -side)
-        elif sleeve.state is SleeveState.ENTER and sleeve.overlap_us < NEVER_US:
+        elif sleeve.state is SleeveState.ENTER and sleeve.is_shallow:
             self._eject(name)
         else:
             self._strike(name, side)
@@ -135,63 +156,14 @@ class TruckEngagement(Engagement[TruckSleeve]):
             truck.leave_flank(lock.gear)
             self._watch_gap(SLEEVE_OF_MAIN[lock.gear].sleeve)
 
+    @abstractmethod
     def can_release(self) -> None:
         """The torque on the teeth no longer holds a sleeve that is to be pulled out."""
-        self._truck.g.release_nm = -1.0
-        for sleeve in self.sleeves.values():
-            if sleeve.waits:
-                sleeve.go(self._plant.time_us)
-
-    def script_release(self, time_us: float, duration_s: float) -> None:
-        """The bench moves every main sleeve to neutral, within this time."""
-        before = {name: sleeve.state for name, sleeve in self.sleeves.items()}
-        super().script_release(time_us, duration_s)
-        for name, was in before.items():
-            if was in (SleeveState.FACE, SleeveState.ENTER):
-                self._give_up(name, was)
 
     def ready(self, gear: MainGear, drive_gear: int) -> None:
         """The bench's scripted return to a gear ends now."""
         super().ready(gear, drive_gear)
         self._truck.end_script()
-
-    def _delay_s(self, name: Sleeve, direction: int) -> float:
-        side = self.sleeves[name].side
-        gear = GEAR_AT[name, side or direction]
-        self._tallies[name] = Tally()
-        share = self._delays.air_share()
-        delay_s = self._delays.draw_gear_s(gear, self._truck.supply_gauge_pa, self._truck.time_us)
-        self.sleeves[name].force_n = self._delays.force_n(self._truck.supply_gauge_pa)
-        self._truck.take_air(share)
-        return delay_s
-
-    def _valve_on(self, name: Sleeve, direction: int, time_us: float) -> None:
-        sleeve = self.sleeves[name]
-        if sleeve.jammed:
-            self._say(time_us, f"activation of {name.name} lost: jammed")
-        elif sleeve.state is SleeveState.NEUTRAL and self._delays.has_cylinder:
-            self._tallies[name] = Tally()
-            supply_pa = self._truck.supply_gauge_pa
-            travel = self._delays.cylinder(time_us, supply_pa)
-            sleeve.force_n = travel.force_n
-            sleeve.approach(travel.stroke, direction, travel.speed_m_s)
-            self._truck.take_air(self._delays.air_share())
-        else:
-            was = sleeve.state
-            super()._valve_on(name, direction, time_us)
-            if was is SleeveState.ENTER and sleeve.state is SleeveState.RETRACT:
-                self._truck.unwatch(ROW_OF_SLEEVE[name])
-
-    def _valve_off(self, name: Sleeve, direction: int, time_us: float) -> None:
-        sleeve = self.sleeves[name]
-        was = sleeve.state
-        if sleeve.jammed:
-            return
-        if sleeve.waits:
-            self._truck.g.release_nm = -1.0
-        super()._valve_off(name, direction, time_us)
-        if sleeve.state is SleeveState.RETRACT and was is not SleeveState.RETRACT:
-            self._give_up(name, was)
 
     def _contact(self, name: Sleeve, time_us: float) -> None:
         gear, sleeve = self.gear_at(name), self.sleeves[name]
@@ -234,7 +206,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._truck.rub(ROW_OF_SLEEVE[name], at.MAIN_BOX, ratio, torque, sign)
 
     def _face_nm(self, name: Sleeve) -> float:
-        return self._face_m * self.sleeves[name].net_force_n
+        return self._face_m * self.sleeves[name].pressing_n(self._plant.time_us)
 
     def _leave_face(self, name: Sleeve) -> None:
         since_us = self._face_since_us.pop(name, None)
@@ -249,14 +221,17 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._stuck = None
             self._truck.chain.open(at.MAIN_BOX)
 
+    @abstractmethod
+    def _renew_air(self, name: Sleeve) -> None:
+        """The sleeve goes on with the air that there is now: it may have changed since its valve
+        was switched."""
+
     def _drop_in(self, name: Sleeve, edge: int) -> None:
         gear, time_us = self.gear_at(name), self._plant.time_us
         slip = self._plant.slip_rad_s(gear)
         phase = self._truck.shafts.phase_rad(gear) if self._chamfer_rad else edge * self._half_rad
         self._leave_face(name)
-        if not self._delays.has_cylinder:
-            # The air may have changed since the valve was switched.
-            self.sleeves[name].force_n = self._delays.force_n(self._truck.supply_gauge_pa)
+        self._renew_air(name)
         self.sleeves[name].enter(time_us)
         self._note(EngagementEvent.TOOTH_PASSED, gear, phase, slip)
         self._watch_gap(name)
@@ -265,7 +240,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         gear, row = self.gear_at(name), ROW_OF_SLEEVE[name]
         if self._truck.chain.is_rigid(at.MAIN_BOX):
             return
-        if self.sleeves[name].overlap_us < NEVER_US:
+        if self.sleeves[name].is_shallow:
             self._truck.watch(row, gear, (-self._half_rad, self._half_rad), with_lash=True)
         else:
             self._truck.watch(row, gear, (-self._flank_rad, self._flank_rad), with_lash=False)
@@ -297,17 +272,6 @@ class TruckEngagement(Engagement[TruckSleeve]):
             phase = side * self._half_rad
             self._note(EngagementEvent.LOCKED, gear, phase, slip, tally=self._tallies[name])
             self._count_brake_in_gear(self._plant.time_us)
-
-    def _unload(self, name: Sleeve, time_us: float) -> None:
-        sleeve, truck = self.sleeves[name], self._truck
-        limit_nm = math.inf
-        if sleeve.axis.hold_per_nm > 0.0:
-            limit_nm = sleeve.net_force_n / sleeve.axis.hold_per_nm
-        if self.scripted or abs(truck.main_box_nm()) <= limit_nm:
-            sleeve.go(time_us)
-        else:
-            sleeve.wait()
-            truck.g.release_nm = limit_nm
 
     def _unmesh(self, name: Sleeve) -> None:
         gear = self.gear_at(name)

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from meshpoint.dbc.messages import RigFault
-from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, Sleeve
 from meshpoint.rig_sim.orders import FaultOrder
+from meshpoint.rig_sim.parts.cylinder import Cylinder
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
+from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
@@ -30,6 +32,9 @@ CHANNEL_TARGETS: Final = "channel 0..7: input, layshaft, main, propeller, each r
 WHEEL_TARGETS: Final = "wheel 0 input, 1 layshaft, 2 main, 3 propeller"
 VALVE_TARGETS: Final = "valve 0..8 in the order of ValveCommand"
 SLEEVE_TARGETS: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
+MAIN_VALVE_TARGETS: Final = "valve 3..6 in the order of ValveCommand: first, second, crawl, third"
+MAIN_SLEEVE_TARGETS: Final = "sleeve 0 first/second, 1 crawl/third"
+MOST_SHARE: Final = 10.0
 MOST_PPM: Final = 1e4
 MOST_RATE: Final = 4.0
 FAULT_FOREVER_US: Final = 1 << 53
@@ -43,6 +48,12 @@ class Kind(NamedTuple):
     target: str
     targets: int
     value: str
+    first: int = 0
+    """The lowest target."""
+
+    def allows(self, target: int) -> bool:
+        """Whether there is such a target."""
+        return not self.targets or self.first <= target < self.first + self.targets
 
 
 KINDS: Final[dict[RigFault, Kind]] = {
@@ -74,6 +85,17 @@ KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.WHEEL_FACTOR: Kind(
         "a speed wheel gives this many times its edges", WHEEL_TARGETS, 4, "factor, 0..4"
     ),
+    RigFault.VALVE_SLOW_ON: Kind("a valve is slow to open", VALVE_TARGETS, 9, "ms"),
+    RigFault.VALVE_SLOW_OFF: Kind("a valve is slow to close", VALVE_TARGETS, 9, "ms"),
+    RigFault.VALVE_LEAKS: Kind(
+        "a closed main valve lets air in", MAIN_VALVE_TARGETS, 4, "% of its own conductance", 3
+    ),
+    RigFault.SLEEVE_STIFF: Kind(
+        "a main sleeve has more friction", MAIN_SLEEVE_TARGETS, 2, "% of its own, added"
+    ),
+    RigFault.SLEEVE_HEAVY: Kind(
+        "a main sleeve has more mass", MAIN_SLEEVE_TARGETS, 2, "% of its own, added"
+    ),
 }
 
 
@@ -96,7 +118,7 @@ class Faultable(Protocol):
     """The parts of a truck that faults may change; `world.TruckWorld` implements it."""
 
     plant: TruckPlant
-    engagement: TruckEngagement
+    engagement: TruckEngagement[Any]
     script: BenchScript
     positions: PositionSensors
     clutch: TruckClutch
@@ -124,7 +146,8 @@ class FaultInjector:
         self._stuck: set[Valve] = set()
         self._missed: dict[Valve, bool] = {}
         """Stuck valves whose coil is not as they are."""
-        self._slow_us: dict[Valve, float] = {}
+        self._slow_us: dict[tuple[Valve, bool, RigFault], float] = {}
+        """By valve, by whether it opens or closes, and by fault."""
         self._ends: dict[tuple[RigFault, int], Callable[[], None]] = {}
         self._begun = 0
         self._current: dict[tuple[RigFault, int], int] = {}
@@ -134,9 +157,12 @@ class FaultInjector:
         """Kind and target of each active fault."""
         return list(self._ends)
 
-    def valve_delay_us(self, valve: Valve) -> float | None:
-        """Delay (us) between a valve's coil and the valve; None if it is stuck."""
-        return None if valve in self._stuck else self._slow_us.get(valve, 0.0)
+    def valve_delay_us(self, valve: Valve, on: bool) -> float | None:
+        """What faults add (us) between a valve's coil and the valve, as it is switched on or off;
+        None if it is stuck."""
+        if valve in self._stuck:
+            return None
+        return sum(us for key, us in self._slow_us.items() if key[:2] == (valve, on))
 
     def miss(self, valve: Valve, on: bool) -> None:
         """The coil of a stuck valve has changed."""
@@ -148,7 +174,7 @@ class FaultInjector:
         kinds = {int(kind): kind for kind in RigFault}
         kind = kinds.get(order.kind)
         lines, time_us = self._world.engagement.lines, self._world.plant.time_us
-        if kind is None or (KINDS[kind].targets and not 0 <= order.target < KINDS[kind].targets):
+        if kind is None or not KINDS[kind].allows(order.target):
             lines.append((time_us, f"fault {order.kind} at {order.target} refused: unknown"))
             return
         if kind is RigFault.NO_FAULT:
@@ -188,13 +214,17 @@ class FaultInjector:
         if on is not None:
             self._world.switch(valve, on)
 
-    def slow_down(self, valve: Valve, delay_us: float) -> Callable[[], None]:
-        """The valve follows late."""
-        self._slow_us[valve] = delay_us
-        return partial(self._hurry, valve)
+    def slow_down(self, order: FaultOrder, on: bool, off: bool) -> Callable[[], None]:
+        """The valve follows late: to open, to close, or both."""
+        kind, valve = RigFault(order.kind), Valve(order.target)
+        late_us = max(order.value, 0.0) * MS * SECOND_US
+        keys = [(valve, to, kind) for to, is_late in ((True, on), (False, off)) if is_late]
+        self._slow_us.update(dict.fromkeys(keys, late_us))
+        return partial(self._hurry, keys)
 
-    def _hurry(self, valve: Valve) -> None:
-        self._slow_us.pop(valve, None)
+    def _hurry(self, keys: list[tuple[Valve, bool, RigFault]]) -> None:
+        for key in keys:
+            del self._slow_us[key]
 
 
 Starter = Callable[[Faultable, FaultInjector, FaultOrder], Callable[[], None]]
@@ -235,9 +265,49 @@ def _fade(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[],
 
 def _jam(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
-    sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
+    sleeve = world.script.step_sleeve(name)
+    if sleeve is None:
+        world.engagement.jam(name, True)
+        return partial(world.engagement.jam, name, False)
     sleeve.jammed = True
     return partial(setattr, sleeve, "jammed", False)
+
+
+def _share(order: FaultOrder) -> float:
+    return min(max(order.value / 100.0, 0.0), MOST_SHARE)
+
+
+def _leak_in(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
+    where = SLEEVE_OF_MAIN[GEAR_OF_VALVE[Valve(order.target)]]
+    chamber = "a" if where.direction > 0 else "b"
+    alter = world.engagement.alter
+    alter(where.sleeve, partial(_let_in, chamber, min(_share(order), 1.0)))
+    return partial(alter, where.sleeve, partial(_let_in, chamber, 0.0))
+
+
+def _let_in(chamber: str, share: float, cylinder: Cylinder) -> None:
+    fill = getattr(cylinder, f"{chamber}_fill_m3_spa")
+    setattr(cylinder, f"{chamber}_leak_m3_spa", share * fill)
+
+
+def _stiffen(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
+    name, alter = Sleeve(order.target), world.engagement.alter
+    alter(name, partial(_rub_more, _share(order)))
+    return partial(alter, name, partial(_rub_more, 0.0))
+
+
+def _rub_more(share: float, cylinder: Cylinder) -> None:
+    cylinder.added_friction = share
+
+
+def _burden(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
+    name, factor, alter = Sleeve(order.target), 1.0 + _share(order), world.engagement.alter
+    alter(name, partial(_weigh, factor))
+    return partial(alter, name, partial(_weigh, 1.0 / factor))
+
+
+def _weigh(factor: float, cylinder: Cylinder) -> None:
+    cylinder.mass_kg *= factor
 
 
 def _lie(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
@@ -319,9 +389,7 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.HALL_DOUBLE_EDGE: _channel("extra", lambda _: 1),
     RigFault.HALL_NOISE_BURST: _channel("extra", lambda order: min(max(int(order.value), 1), 8)),
     RigFault.VALVE_STUCK: lambda _, injector, order: injector.stick(Valve(order.target)),
-    RigFault.VALVE_SLOW: lambda _, injector, order: injector.slow_down(
-        Valve(order.target), max(order.value, 0.0) * MS * SECOND_US
-    ),
+    RigFault.VALVE_SLOW: lambda _, injector, order: injector.slow_down(order, on=True, off=True),
     RigFault.SUPPLY_DROP: _leak,
     RigFault.SLEEVE_JAMMED: _jam,
     RigFault.POSITION_OFFSET: _lie,
@@ -335,4 +403,13 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.NODE_RESTART: _restart,
     RigFault.NODE_STALLED: _stall,
     RigFault.WHEEL_FACTOR: _turn_otherwise,
+    RigFault.VALVE_SLOW_ON: lambda _, injector, order: injector.slow_down(
+        order, on=True, off=False
+    ),
+    RigFault.VALVE_SLOW_OFF: lambda _, injector, order: injector.slow_down(
+        order, on=False, off=True
+    ),
+    RigFault.VALVE_LEAKS: _leak_in,
+    RigFault.SLEEVE_STIFF: _stiffen,
+    RigFault.SLEEVE_HEAVY: _burden,
 }

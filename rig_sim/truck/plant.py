@@ -221,6 +221,14 @@ class TruckPlant:
         direction = sign or math.copysign(1.0, slip)
         self.rig.contacts[slot] = Contact(direction, ratio, torque_nm, link, link + 1)
 
+    def press(self, slot: int, torque_nm: float) -> None:
+        """What rubs there is pressed otherwise from now on."""
+        self.rig.contacts[slot].friction_nm = torque_nm
+
+    def hold(self, link: int, torque_nm: float) -> None:
+        """What sticks at a link holds this much, either way, from now on."""
+        self.g.links[link].low_nm, self.g.links[link].high_nm = -torque_nm, torque_nm
+
     def smooth(self, slot: int) -> None:
         """No friction there any more."""
         self.rig.contacts[slot].sign = 0.0

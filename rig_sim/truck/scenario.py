@@ -53,10 +53,13 @@ def _fault(entry: Any, where: str) -> ScheduledFault:
     if name not in names:
         raise ScenarioError(f"{where}: kind = {name!r}, allowed is one of {', '.join(names)}")
     kind = names[name]
-    last = max(KINDS[kind].targets - 1, 0)
-    target = entry.get("target", 0)
-    if not (isinstance(target, int) and not isinstance(target, bool) and 0 <= target <= last):
-        raise ScenarioError(f"{where}: target = {target!r}, allowed is a whole number 0..{last}")
+    first = KINDS[kind].first
+    last = first + max(KINDS[kind].targets - 1, 0)
+    target = entry.get("target", first)
+    if not (isinstance(target, int) and not isinstance(target, bool) and first <= target <= last):
+        raise ScenarioError(
+            f"{where}: target = {target!r}, allowed is a whole number {first}..{last}"
+        )
     at_us = round(_number(entry, "at_ms", where, 0.0, LONGEST_MS) * MS_US)
     for_us = round(_number(entry, "for_ms", where, 0.0, LONGEST_MS) * MS_US)
     value = _number(entry, "value", where, -1e6, 1e6)

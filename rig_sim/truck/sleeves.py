@@ -1,10 +1,8 @@
-"""The main sleeves of the truck along their axis.
+"""The main sleeves of the truck by a pure delay (`sleeve.model` 0; as built: `driven_sleeve`).
 
-As `sleeves` has it, and beyond:
+As `shared.sleeves` has it, and beyond:
 
-* APPROACH takes the delay law or the cylinder's own time; contact is met with a speed.
-* ENTER goes on by force against mass and damping. It may be thrown back before the overlap that
-  holds is reached: EJECTED, to FACE, at rest.
+* ENTER may be thrown back before the overlap that holds is reached: EJECTED, to FACE, at rest.
 * RETRACT out of a loaded flank waits, while friction and back taper hold more than the force:
   F < (mu + tan beta) |T| / r.
 * A jammed sleeve stays where it is.
@@ -13,11 +11,12 @@ As `sleeves` has it, and beyond:
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.rig_sim.shared.sleeves import (
     NEVER_US,
+    MainSleeve,
     SleeveAxis,
     SleeveEvent,
     SleeveState,
@@ -25,17 +24,13 @@ from meshpoint.rig_sim.shared.sleeves import (
     resting,
 )
 from meshpoint.rig_sim.truck.as_built import AsBuilt
-from meshpoint.rig_sim.truck.strokes import Push, PushedStroke, SampledStroke
 from meshpoint.units import MM, SECOND_US
 
 
 class Axial(NamedTuple):
     """What the as-built sleeve has along its axis."""
 
-    by_force: bool
-    mass_kg: float
     force_n: float
-    damping_nsm: float
     friction_n: float
     overlap_m: float
     hold_per_nm: float
@@ -46,18 +41,44 @@ def axial(built: AsBuilt, radius_m: float) -> Axial:
     """From the as-built parameters."""
     taper = math.tan(math.radians(built["sleeve.back_taper_deg"]))
     return Axial(
-        built["sleeve.entry_law"] >= 0.5,
-        built["sleeve.mass_kg"],
         built["sleeve.force_n"],
-        built["sleeve.damping_nsm"],
         built["sleeve.friction_n"],
         built["dog.overlap_mm"] * MM,
         (built["sleeve.flank_friction"] + taper) / radius_m,
     )
 
 
-class TruckSleeve(SleeveAxis):
-    """One main sleeve."""
+class TruckSleeve(MainSleeve, Protocol):
+    """What teeth and bench do to a main sleeve of the truck, however it moves."""
+
+    is_shallow: bool
+    """In the gap, but not yet by the overlap that holds."""
+    jammed: bool
+
+    def pressing_n(self, time_us: float) -> float:
+        """Force on the tooth it stands before, the seals' friction off."""
+
+    def rest_on_tooth(self, time_us: float) -> None:
+        """Contact, tooth on tooth."""
+
+    def enter(self, time_us: float) -> None:
+        """The gear's tooth stands in the gap: on to full stroke."""
+
+    def eject(self, time_us: float) -> None:
+        """A flank met before the overlap holds: back onto the face, at rest."""
+
+    def lock(self) -> None:
+        """The tooth is at the flank."""
+
+    def unmesh(self) -> None:
+        """The teeth have left each other."""
+
+    def jam(self, time_us: float, jammed: bool) -> None:
+        """No activation moves it from now on, or again."""
+
+
+class DelayedSleeve(SleeveAxis):
+    """One main sleeve by a pure delay."""
 
     def __init__(self, actuator: SleeveActuator, engaged_side: int, axis: Axial) -> None:
         super().__init__(actuator, engaged_side)
@@ -65,7 +86,8 @@ class TruckSleeve(SleeveAxis):
         self.overlap_us = NEVER_US
         self.unload_us = NEVER_US
         self.force_n = axis.force_n
-        self.speed_m_s = 0.0
+        self.is_shallow = False
+        """In the gap, but not yet by the overlap that holds."""
         self.jammed = False
         self._release_s = 0.0
 
@@ -76,54 +98,35 @@ class TruckSleeve(SleeveAxis):
             self.contact_us, self.unmesh_us, self.neutral_us, self.overlap_us, self.unload_us
         )
 
-    @property
-    def net_force_n(self) -> float:
-        """Force less the seals' friction."""
+    def pressing_n(self, time_us: float) -> float:  # noqa: ARG002
+        """Force on the tooth it stands before, the seals' friction off."""
         return max(self.force_n - self.axis.friction_n, 0.0)
 
-    def approach(self, stroke: SampledStroke, side: int, speed_m_s: float) -> None:
-        """The valve towards a gear is energised: the cylinder's stroke."""
-        self._go(SleeveEvent.ENGAGE)
-        self.side = side
-        self.contact_us = stroke.end_us
-        self.speed_m_s = speed_m_s
-        self._move(stroke)
-
-    def engage(self, time_us: float, side: int, delay_s: float) -> None:
-        """The same by the delay law: contact comes exactly delay_s later."""
-        super().engage(time_us, side, delay_s)
-        moving_s = delay_s - self._actuator.valve_delay_s
-        self.speed_m_s = 2.0 * self._actuator.to_contact_m / moving_s
-
     def enter(self, time_us: float) -> None:
-        """The gear's tooth stands in the gap: on to full stroke, from the present speed."""
-        if not self.axis.by_force:
-            super().enter(time_us)
-            way_m = self.axis.overlap_m
-            self.overlap_us = time_us + way_m / self._actuator.speed_m_s * SECOND_US
-            return
-        speed = self.speed_m_s if self.state is SleeveState.APPROACH else 0.0
-        self._go(SleeveEvent.IN_GAP)
-        self.contact_us = NEVER_US
-        push = Push(self.net_force_n, self.axis.mass_kg, self.axis.damping_nsm, speed)
-        self._push_in(time_us, push)
-        self.overlap_us = time_us + push.time_s(self.axis.overlap_m) * SECOND_US
+        """The gear's tooth stands in the gap: on to full stroke."""
+        super().enter(time_us)
+        self.is_shallow = True
+        self.overlap_us = time_us + self.axis.overlap_m / self._actuator.speed_m_s * SECOND_US
+
+    def jam(self, time_us: float, jammed: bool) -> None:  # noqa: ARG002
+        """Activations do not move it from now on, or do so again."""
+        self.jammed = jammed
 
     def overlapped(self) -> None:
         """The overlap that holds has been reached."""
-        self.overlap_us = NEVER_US
+        self.overlap_us, self.is_shallow = NEVER_US, False
 
     def eject(self, time_us: float) -> None:
         """A flank met before the overlap holds: back onto the face, at rest."""
         self._go(SleeveEvent.EJECTED)
-        self.overlap_us = NEVER_US
+        self.overlapped()
         self._move(resting(time_us, self._actuator.to_contact_m))
 
     def release(self, time_us: float, delay_s: float) -> None:
         """The opposite valve is energised: after the valve's delay the sleeve wants to go."""
         if self.state is not SleeveState.LOCKED:
             super().release(time_us, delay_s)
-            self.overlap_us = NEVER_US
+            self.overlapped()
             return
         self._go(SleeveEvent.RELEASE)
         self._release_s = delay_s - self._actuator.valve_delay_s
@@ -160,15 +163,9 @@ class TruckSleeve(SleeveAxis):
     def let_go(self, time_us: float) -> None:
         """The valve towards the gear is off before anything holds the sleeve."""
         super().let_go(time_us)
-        self.overlap_us = NEVER_US
+        self.overlapped()
 
     def hold(self, time_us: float) -> None:
-        """The release is given up while the teeth still overlap: back to full stroke."""
+        """The release is given up before the sleeve has moved: on to full stroke."""
         self.unload_us = NEVER_US
         super().hold(time_us)
-
-    def _push_in(self, time_us: float, push: Push) -> None:
-        from_m = abs(self.position_m(time_us))
-        to_m = self._actuator.stroke_m
-        end_us = time_us + push.time_s(to_m - from_m) * SECOND_US
-        self._move(PushedStroke(time_us, end_us, from_m, to_m, push))

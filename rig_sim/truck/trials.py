@@ -17,6 +17,7 @@ from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN, Engaged
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.gear_train import INDEX
 from meshpoint.rig_sim.truck.world import TruckWorld
+from meshpoint.units import SECOND_US
 
 
 class Outcome(NamedTuple):
@@ -57,7 +58,6 @@ class Trials:
         self.world = TruckWorld(sheet, settings)
         self.engagement, self.plant = self.world.engagement, self.world.plant
         self.sleeve = SLEEVE_OF_MAIN[gear].sleeve
-        self.delay_s = self.world.sheet.sleeve.delay_s
         self.pitch_rad = self.world.sheet.dog.pitch_rad
         self.backlash_rad = self.world.sheet.dog.backlash_rad
         self.plant.script_layshaft(0.0)
@@ -68,8 +68,11 @@ class Trials:
 
         phase_rad and slip_rad_s are those at contact if the slip stays constant until then.
         KeyError where the sleeve has not even met its gear by the end."""
-        self._reset(phase_rad - slip_rad_s * self.delay_s, slip_rad_s)
         plant, engagement = self.plant, self.engagement
+        engagement.reset_sleeve(self.sleeve)
+        contact_us, _ = engagement.expected_contact_us(self.gear, plant.time_us)
+        delay_s = (contact_us - plant.time_us) / SECOND_US
+        self._set(phase_rad - slip_rad_s * delay_s, slip_rad_s)
         engagement.engaged.clear()
         engagement.lines.clear()
         start_us = plant.time_us
@@ -93,9 +96,8 @@ class Trials:
             plant.slip_rad_s(self.gear),
         )
 
-    def _reset(self, phase_rad: float, slip_rad_s: float) -> None:
+    def _set(self, phase_rad: float, slip_rad_s: float) -> None:
         plant = self.plant
-        self.engagement.reset_sleeve(self.sleeve)
         plant.coast()
         omega = (plant.main_rad_s + slip_rad_s) / plant.ratio(self.gear)
         for body, rate in plant.chain.rates(plant.chain.group(at.LAYSHAFT), at.LAYSHAFT).items():

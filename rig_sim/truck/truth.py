@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.gears import MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.angles import Angle
-from meshpoint.rig_sim.shared.engagement import Engagement
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.truth import CommonTruth
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.energy import Energy
+from meshpoint.rig_sim.truck.engagement import AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.units import SECOND_US
 
 
 class TruckParts(Protocol):
@@ -23,10 +23,9 @@ class TruckParts(Protocol):
     clock_start_us: int
     script: BenchScript
     plant: TruckPlant
-    delays: TruckDelays
 
     @property
-    def engagement(self) -> Engagement[Any]:
+    def engagement(self) -> TruckEngagement[Any]:
         """The main sleeves."""
 
 
@@ -61,9 +60,19 @@ class TruckTruth(CommonTruth):
 
     def delay_s(self, gear: MainGear) -> tuple[float, float]:
         """From a sleeve valve's activation now to contact: mean and standard deviation."""
-        world = self._world
-        plant = world.plant
-        return world.delays.expected_s(gear, plant.supply_gauge_pa, plant.time_us)
+        time_us = self.time_us
+        mean_us, sd_us = self.expected_contact_us(gear, time_us)
+        return (mean_us - time_us) / SECOND_US, sd_us / SECOND_US
+
+    def expected_contact_us(self, gear: MainGear, fire_us: float) -> tuple[float, float]:
+        """When a gear's sleeve would meet it, its valve's coil switched on at `fire_us`: from where
+        it stands or moves now, its valves as they are. Mean and standard deviation, us."""
+        return self._world.engagement.expected_contact_us(gear, fire_us)
+
+    def axis(self, sleeve: Sleeve, time_us: float) -> AxisTruth:
+        """One of the two main sleeves at an instant, at most 10 ms before the truth's own. KeyError
+        for splitter and range; ValueError where sleeves are a pure delay (`sleeve.model` 0)."""
+        return self._world.engagement.axis(sleeve, time_us)
 
     @property
     def brake_valve_delay_s(self) -> float:

@@ -31,7 +31,9 @@ from meshpoint.rig_sim.shared.world import READ_US, EncoderRead, PhaseRead, Sens
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt, as_built_sheet, draw_as_built
 from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
+from meshpoint.rig_sim.truck.delayed_engagement import DelayedEngagement
 from meshpoint.rig_sim.truck.delays import TruckDelays
+from meshpoint.rig_sim.truck.driven_engagement import DrivenEngagement
 from meshpoint.rig_sim.truck.engagement import TruckEngagement
 from meshpoint.rig_sim.truck.faults import FaultInjector
 from meshpoint.rig_sim.truck.plant import TruckPlant
@@ -78,7 +80,8 @@ class TruckWorld:
         self.plant = TruckPlant(self.sheet, self.built, shafts, gear.main, main_rad_s)
         self.plant.engage(gear.main, start.flank, self.built["dog.free_play"] >= 0.5)
         self.delays = TruckDelays(rng, self.sheet, self.built)
-        self.engagement = TruckEngagement(
+        moved = DrivenEngagement if self.built["sleeve.model"] >= 0.5 else DelayedEngagement
+        self.engagement: TruckEngagement[Any] = moved(
             self.sheet, self.built, self.plant, self.delays, gear.main
         )
         self.script = BenchScript(self.sheet, self.plant, self.engagement, self.delays, gear)
@@ -184,6 +187,7 @@ class TruckWorld:
             )
         self.built = self.built.changed(values)
         self.delays.change_conditions(self.built)
+        self.engagement.change_conditions(self.built)
         self.plant.change_conditions(self.built)
 
     def later(self, delay_us: float, action: Callable[[], None]) -> None:
@@ -310,7 +314,7 @@ class TruckWorld:
 
     def switch(self, valve: Valve, on: bool) -> None:
         """The valve's coil is switched now; what the air does comes later."""
-        extra_us = self.faults.valve_delay_us(valve)
+        extra_us = self.faults.valve_delay_us(valve, on)
         if extra_us is None:
             self.faults.miss(valve, on)
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import json
 import subprocess
@@ -62,6 +63,12 @@ def test_the_reference_is_what_the_docstrings_say(
 def test_a_sentence_of_the_reference_is_not_torn_at_a_colon() -> None:
     page = reference.api_page()
     assert page.count("at most three\n  times: once it is, the controller can aim") == 2
+
+
+def test_the_reference_says_what_each_figure_of_a_shift_means() -> None:
+    entry = reference.api_page().partition("## class `ShiftRow`")[2].partition("\n## ")[0]
+    for field in dataclasses.fields(meshpoint.ShiftRow):
+        assert f"\n- `{field.name}`: " in entry, field.name
 
 
 def test_simulate_is_the_command(tmp_path: Path) -> None:

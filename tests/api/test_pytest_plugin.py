@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
 import subprocess
@@ -51,6 +52,13 @@ def test_the_first_test_of_a_page_passes_as_it_stands_there(
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
     inner.makepyfile(test_of_the_page=next(text for text in blocks if "def test_" in text))
     inner.runpytest_inprocess().assert_outcomes(passed=1)
+
+
+def test_the_page_names_figures_that_a_shift_has_aborts_among_them() -> None:
+    page = (ROOT / "docs" / "pytest.md").read_text()
+    named = set(re.findall(r"`shift\.(\w+)`", page))
+    assert named >= {"contact", "attempts", "aborts", "halt_mm"}
+    assert named <= {field.name for field in dataclasses.fields(meshpoint.ShiftRow)}
 
 
 @pytest.mark.long

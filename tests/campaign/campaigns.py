@@ -12,7 +12,9 @@ import pyarrow.parquet as pq
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.columns import FIELDS
 from meshpoint.testbench.campaign.draw import upshifts
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.cli import main
 
@@ -45,6 +47,14 @@ def campaign(folder: Path, *arguments: str) -> Outcome:
     """Runs the command with `--out` and `--json` in a folder."""
     given = ["campaign", *SMALL, "--out", str(folder), "--json", str(folder / "result.json")]
     return Outcome(main([*given, *arguments]), folder)
+
+
+def judged_shift(**values: Any) -> JudgedShift:
+    """A judged shift of which nothing is known but these values."""
+    nothing: dict[str, Any] = {
+        name: None if field.is_optional else field.kind() for name, field in FIELDS.items()
+    }
+    return JudgedShift(**nothing | values)
 
 
 def small_spec(preset: Preset = Preset.THESIS, **changes: Any) -> CampaignSpec:

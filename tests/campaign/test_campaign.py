@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from campaigns import SMALL, Outcome, campaign
+from campaigns import SMALL, Outcome, campaign, judged_shift
 
 from meshpoint.testbench.campaign import runner
+from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.campaign.run import RunResult, run_many
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.campaign.summary import summarise
+from meshpoint.testbench.campaign.table import CELLS
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.rows import ShiftRow
@@ -71,6 +75,31 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         known_from = sum(figures["reference_sources"].values())
         assert strategy == "true_state" or known_from == pytest.approx(figures["reference_known"])
     assert "target_phase/speed_window" in values["ratios"]
+
+
+def test_shifts_with_an_abort_and_aborts_in_all_are_figures_of_each_strategy() -> None:
+    """Three of eight shifts, four aborts: the rate with its interval, and the mean."""
+    aborts = [2, 1, 1, 0, 0, 0, 0, 0]
+    records = [
+        judged_shift(seed=seed, strategy="target_phase", duration_ms=400.0, aborts=count)
+        for seed, count in enumerate(aborts)
+    ]
+    figures = summarise(Shifts.of(records), ("target_phase",))["strategies"]["target_phase"]
+    assert figures["aborts_mean"] == pytest.approx(4 / 8)
+    assert figures["aborted"]["rate"] == pytest.approx(3 / 8)
+    low, high = figures["aborted"]["ci95"]
+    assert low < 3 / 8 < high
+    assert CELLS["aborted"](figures).startswith("37.5 % (")
+    assert CELLS["aborts a shift"](figures) == "0.50"
+
+
+def test_the_table_on_disk_and_the_page_have_the_aborts(by_one: Outcome) -> None:
+    for row in by_one.table:
+        assert row["aborts"] >= 0
+        assert (row["halt_mm"] is None) == (row["aborts"] == 0)
+    page = (by_one.folder / "report.html").read_text()
+    lines = page.partition("<h2>Strategies</h2>")[2].partition("</table>")[0]
+    assert re.findall(r"<tr><td>([^<]*)</td>", lines) == list(CELLS)
 
 
 def test_the_report_draws_every_figure_without_a_network(by_one: Outcome) -> None:

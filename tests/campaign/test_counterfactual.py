@@ -28,7 +28,7 @@ SHIFTS = 4
 pytestmark = pytest.mark.long
 RECORDED, OTHER = "speed_window", "target_phase"
 CHANCE = 0.999
-ALIKE = 2
+ALIKE = 1
 """Of the shifts, before a phase is known."""
 Pairs = list[tuple[Judged, ShiftRow]]
 

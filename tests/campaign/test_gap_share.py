@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from campaigns import judged_shift
 
 from benchmarks.studies.teeth import Engagements
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.campaign.columns import FIELDS, Shifts
+from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.record import JudgedShift, gap_share
 from meshpoint.testbench.campaign.sequential import estimate, parse_goal
 from meshpoint.units import MM, RPM
@@ -35,16 +36,18 @@ def test_the_rig_meets_a_gap_at_that_share_of_evenly_spread_phases(
 def shifts(rng: np.random.Generator, runs: int) -> list[JudgedShift]:
     """Two of each run and strategy: one misses as the phase comes, one in 1 %."""
     found: list[JudgedShift] = []
-    nothing: dict[str, Any] = {
-        name: None if field.is_optional else field.kind() for name, field in FIELDS.items()
-    }
     for seed in range(runs):
         share = float(rng.uniform(0.19, 0.23))
         for shift in range(2):
             for strategy, chance in (("speed_window", share), ("target_phase", 0.99)):
                 contact = "gap" if rng.random() < chance else "tooth"
-                values = {"seed": seed, "shift": shift, "strategy": strategy, "contact": contact}
-                found.append(JudgedShift(**nothing | values | {"gap_share": share}))
+                values: dict[str, Any] = {
+                    "seed": seed,
+                    "shift": shift,
+                    "strategy": strategy,
+                    "contact": contact,
+                }
+                found.append(judged_shift(**values, gap_share=share))
     return found
 
 

@@ -51,7 +51,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[ClosedLoop], C
     """One run with today's strategy, and from each of its requests on a run with the other one."""
     settings = ControllerSettings(strategy_name=RECORDED)
     spec = small_spec(Preset.THESIS, settings=settings)
-    drawn = draw(13, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {}, Profile.CLEAN)
+    drawn = draw(15, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {}, Profile.CLEAN)
     loop = ClosedLoop(spec.sheet, settings, spec.preset, drawn, log=[])
     branches = []
     for _ in range(SHIFTS):

@@ -40,7 +40,9 @@ def test_true_state_misses_by_the_scatter_of_the_delay_alone(
             assert record.phase_error_deg is not None
             assert record.slip_rpm is not None
             assert record.predicted_phase_deg is not None
-            most_deg = abs(record.slip_rpm) * RPM_TO_DEG_PER_MS * noise_limit_ms
+            # A sleeve that was stopped and fired again has the chance of those valves, too.
+            switches = 1 + record.aborts
+            most_deg = abs(record.slip_rpm) * RPM_TO_DEG_PER_MS * noise_limit_ms * switches
             off_deg = record.phase_error_deg - record.predicted_phase_deg
             assert abs(off_deg) < 1.2 * most_deg + 0.03
 

@@ -15,6 +15,7 @@ from meshpoint.dbc.messages import (
     ReferenceEngagement,
     RigFault,
     ShiftResult,
+    SleevesMain,
     ValveAction,
     ValveCommand,
 )
@@ -22,7 +23,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 
-TRUCK12 = load_sheet("truck12")
+TRUCK12, SETTINGS = load_sheet("truck12"), ControllerSettings()
 E = EngagementEvent
 DRIVEN = (ValveAction.ON_NOW, ValveAction.ON_AT)
 
@@ -32,8 +33,8 @@ def truck(requests: list[tuple[int, int]], **changes: Any) -> Loop:
 
 
 def reported(loop: Loop) -> dict[EngagementEvent, int]:
-    """When each thing first happened after the request, as the rig reports, us."""
-    (outcome,) = loop.outcomes
+    """When each thing first happened after the last request, as the rig reports, us."""
+    outcome = loop.outcomes[-1]
     found: dict[EngagementEvent, int] = {}
     for message in loop.of(ReferenceEngagement):
         after_us = (message.event_time_us - outcome.request_time_us) % (1 << 32)
@@ -42,13 +43,49 @@ def reported(loop: Loop) -> dict[EngagementEvent, int]:
     return found
 
 
+TEACH = 6
+LAST_US = 1_500_000 + 4_000_000 * TEACH
+"""When the last shift is asked for: the first ones teach how the sleeve moves."""
+
+
+def teeth_seen_out_us(loop: Loop) -> int:
+    """Bus time of the first read that then shows first gear's teeth out by a millimetre."""
+    clear_m = TRUCK12.sleeve.to_contact_m - 1e-3
+    return next(
+        time_us
+        for time_us, message in loop.messages
+        if isinstance(message, SleevesMain)
+        and time_us > LAST_US
+        and abs(message.sleeve_first_second_m[0]) < clear_m
+    )
+
+
+def first_braked(loop: Loop) -> tuple[int, ValveCommand]:
+    """The first command that then drives the brake, and its bus time."""
+    return next(
+        (time_us, message)
+        for time_us, message in loop.messages
+        if isinstance(message, ValveCommand)
+        and time_us > LAST_US
+        and message.brake_action in DRIVEN
+    )
+
+
 def test_each_thing_happens_as_the_one_before_is_over() -> None:
-    loop = truck([(1_500_000, 10)]).run(3_000_000)
-    (outcome,) = loop.outcomes
-    assert (outcome.result, loop.violations) == (ShiftResult.ENGAGED, 0)
+    """The brake's air is let in by the step that first sees the old teeth out: a pull is a pulse
+    that is over by then, so sooner nobody can say that the sleeve goes on."""
+    before = [(1_500_000 + 4_000_000 * k, (10, 8)[k % 2]) for k in range(TEACH)]
+    loop = truck([*before, (LAST_US, 10)]).run(LAST_US + 3_000_000)
+    outcome = loop.outcomes[-1]
+    assert [each.result for each in loop.outcomes] == [ShiftResult.ENGAGED] * (TEACH + 1)
+    assert loop.violations == 0
     at = reported(loop)
     assert 0 < at[E.RELEASED] - at[E.PLATES_PARTED] < 35_000
-    assert 0 < at[E.BRAKE_FILLS] - at[E.RELEASED] < 20_000
+    seen_us, (sent_us, command) = teeth_seen_out_us(loop), first_braked(loop)
+    assert 0 < sent_us - seen_us < 1_000 * SETTINGS.timing.tick_ms
+    on_us = (command.brake_time_us - outcome.request_time_us) % (1 << 32)
+    assert at[E.RELEASED] < on_us < at[E.BRAKE_FILLS]
+    assert at[E.BRAKE_FILLS] - on_us < 1e6 * TRUCK12.brake.greatest_valve_delay_s
     assert 0 < at[E.PLATES_MET] - at[E.LOCKED] < 100_000
 
 

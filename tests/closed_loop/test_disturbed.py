@@ -229,15 +229,22 @@ def test_a_rig_that_restarts_is_found_again_without_its_references(
     assert loop.violations == 0
 
 
-@pytest.mark.parametrize("state", [State.SYNCHRONISING, State.COASTING, State.ENGAGING])
-def test_a_rig_that_restarts_in_mid_shift_ends_the_shift_and_is_found_again(state: State) -> None:
+@pytest.mark.parametrize(
+    ("state", "gear"), [(State.SYNCHRONISING, 8), (State.COASTING, 8), (State.ENGAGING, 10)]
+)
+def test_a_rig_that_restarts_in_mid_shift_ends_the_shift_and_is_found_again(
+    state: State, gear: int
+) -> None:
+    """It starts in gear 8. While the main box is to stay in neutral that ends the shift; a sleeve
+    that is on its way back to neutral after its firing is brought there out of any gear, and fired
+    again."""
     loop = Loop(REQUEST)
     loop.run_to_state(state, END_US)
     loop.rig.core = loop.new_rig(99)
     loop.run(loop.time.now_us + 4_000_000)
     assert len(loop.outcomes) == 1
     assert loop.status.state is State.IN_GEAR, loop.events
-    assert loop.status.current_gear == 8
+    assert loop.status.current_gear == gear
     assert loop.valves_driven == ()
     assert loop.violations == 0
 

@@ -17,7 +17,7 @@ from loop_bench import Loop
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     TC1,

@@ -19,7 +19,7 @@ from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings, ShiftLimits
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     TC1,
@@ -168,6 +168,13 @@ def position_says_neutral(loop: Loop) -> None:
     loop.fault(RigFault.POSITION_OFFSET, 0, 12.0)
 
 
+def main_box_rests(loop: Loop) -> None:
+    """The sleeve that was pulled out stands in neutral, and has been seen to."""
+    stands = lambda: not moved(loop)  # noqa: E731
+    assert loop.until(stands, loop.time.now_us + 100_000)
+    loop.run(loop.time.now_us + 30_000)
+
+
 FIRST, SECOND, CRAWL = ValveName.MAIN_FIRST, ValveName.MAIN_SECOND, ValveName.MAIN_CRAWL
 NEUTRAL = State.SYNCHRONISING
 DEEDS = [
@@ -202,6 +209,8 @@ def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
     mad = MadCore(loop.header, deed, guarded)
     loop.controller.core = mad
     loop.run_to_state(deed.begins, LIMIT_US)
+    if deed.begins is NEUTRAL:
+        main_box_rests(loop)
     deed.before(loop)
     if deed.begins is State.IN_GEAR:
         meant, deed.clutch = deed.clutch, deed.held or deed.clutch

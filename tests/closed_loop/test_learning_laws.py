@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 from loop_bench import Loop
-from recorded_runs import RUNS, AnyVersion, Transcript, first_difference, frame_of, transcript_of
+from recorded_runs import RUNS, AnyVersion, Transcript, frame_of, transcript_of
 
 from meshpoint.controller.calibration.learned import Calibration, read_calibration
 from meshpoint.controller.core import ControllerCore
+from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -20,6 +21,8 @@ from meshpoint.testbench.results.rows import RowCollector
 
 SHEET = load_sheet("truck12")
 SHIFTS, LIMIT_US = 8, 60_000_000
+COMES_TO_REST_US = 60_000
+"""A sleeve that has been pulled into neutral stands there by then."""
 SURE = 3.5
 """Nothing is further off than this many of the deviations that are stated with it."""
 
@@ -67,7 +70,7 @@ def test_the_brake_and_the_sleeve_are_learned_to_within_what_is_said_of_them(gai
 @pytest.mark.parametrize(
     ("state", "fault"),
     [
-        (ControllerState.COASTING, RigFault.SLEEVE_JAMMED),
+        (ControllerState.SYNCHRONISING, RigFault.SLEEVE_JAMMED),
         (ControllerState.SYNCHRONISING, RigFault.HALL_DROPOUT),
         (ControllerState.CLUTCH_OPENING, RigFault.CLUTCH_STUCK),
     ],
@@ -75,12 +78,15 @@ def test_the_brake_and_the_sleeve_are_learned_to_within_what_is_said_of_them(gai
 def test_a_shift_that_failed_teaches_nothing_of_sleeves_and_phases(
     state: ControllerState, fault: RigFault
 ) -> None:
-    """What two shifts before have taught is left as it was."""
+    """What was known as it failed is left as it was: by two shifts before, and by the sleeve's way
+    out of the old gear."""
     loop = a_loop(shifts=3)
     loop.until(lambda: len(loop.outcomes) == 2, LIMIT_US)
     loop.run_to_state(ControllerState.NEUTRAL, LIMIT_US)
-    before = calibration(loop)
     loop.run_to_state(state, LIMIT_US)
+    if state is ControllerState.SYNCHRONISING:
+        loop.run(loop.time.now_us + COMES_TO_REST_US)
+    before = calibration(loop)
     loop.fault(fault, 2 if fault is RigFault.HALL_DROPOUT else 0)
     loop.until(lambda: len(loop.outcomes) == 3, LIMIT_US)
     assert loop.outcomes[-1].result is not ShiftResult.ENGAGED
@@ -91,22 +97,32 @@ def test_a_shift_that_failed_teaches_nothing_of_sleeves_and_phases(
         assert after.references == before.references
 
 
-def test_restored_from_its_file_a_controller_sends_what_it_sends_with_what_was_learned() -> None:
+COMMANDS = tuple(f"> {CODECS[name].spec.can_id:08X}" for name in
+                 ("ValveCommand", "ClutchCommand", "TSC1"))  # fmt: skip
+
+
+def commands(core: ControllerCore, heard: list[str]) -> list[str]:
+    """What a controller commands that hears this. It reports more, some of it to the last digit."""
+    reported = Transcript(core)
+    for line in heard:
+        sign, text = line.split(" ")
+        reported.receive(frame_of(text)) if sign == "<" else reported.step(int(text))
+    return [line for line in reported.lines if line.startswith(COMMANDS)]
+
+
+def test_restored_from_its_file_a_controller_commands_what_it_does_with_what_was_learned() -> None:
     """The bus of a recorded run, heard by one that was given the figures and by one that has read
-    them."""
+    their nine digits."""
     loop = a_loop(shifts=3)
     loop.run(LIMIT_US)
     learned = calibration(loop)
     read = read_calibration(learned.to_text(), "box.toml", SHEET)
     cold = RUNS["typical_1"].header
+    heard = [line for line in transcript_of("typical_1") if line[0] in "<@"]
     given, again, without = (
-        ControllerCore(AnyVersion(**vars(replace(cold, calibration=each))))
+        commands(ControllerCore(AnyVersion(**vars(replace(cold, calibration=each)))), heard)
         for each in (learned, read, None)
     )
-    heard = [line for line in transcript_of("typical_1") if line[0] in "<@"]
-    reported = Transcript(given)
-    for line in heard:
-        sign, text = line.split(" ")
-        reported.receive(frame_of(text)) if sign == "<" else reported.step(int(text))
-    assert first_difference(again, reported.lines) is None
-    assert first_difference(without, reported.lines) is not None
+    assert len(given) > 100
+    assert again == given
+    assert without != given

@@ -115,7 +115,8 @@ def test_frames_under_its_address_that_it_did_not_send_are_named_as_intruders(
     babble = Frame(can_id, bytes(range(length)), is_fd=length > 8)
     babbled = []
     for i, frame in enumerate(log):
-        babbled += [frame, babble] if i % 50 == 7 else [frame]
+        # Not behind the log's last frame: it might be of a step whose end is not in the log.
+        babbled += [frame, babble] if i % 50 == 7 and frame is not log[-1] else [frame]
     session = verify(one_shift, babbled, tmp_path)
     assert session.verdict is Verification.IDENTICAL, str(session)
     assert session.intruders == {can_id: len(babbled) - len(log)}

@@ -15,9 +15,11 @@ from page_data import page_data
 
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.controller.core import OWN_ADDRESS
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.messages import ShiftOutcome
+from meshpoint.dbc.messages import ShiftOutcome, ShiftResult
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.cli import main
@@ -105,6 +107,22 @@ def test_sensor_frames_alone_are_enough(
     assert found["cannot"] == [
         "no speeds of input and output shaft (ETC1): no gears by their ratio"
     ]
+
+
+@pytest.mark.parametrize(
+    ("attempts", "aborts", "status"),
+    [(0, 0, "not fired"), (0, 2, "aborted"), (1, 0, "fired"), (1, 2, "fired")],
+)
+def test_a_sleeve_that_was_fired_and_stopped_is_told_from_one_that_was_not_fired(
+    attempts: int, aborts: int, status: str
+) -> None:
+    replay = SensorReplay(new_header("test", SHEET, ControllerSettings()))
+    ended = ShiftResult.ENDED_IN_NEUTRAL
+    replay.outcomes.append(
+        (1.0, ShiftOutcome(8, 10, result=ended, attempts=attempts, aborts=aborts))
+    )
+    (row,) = replay.decided()
+    assert (row["status"], row["attempts"], row["aborts"]) == (status, attempts, aborts)
 
 
 @pytest.mark.long

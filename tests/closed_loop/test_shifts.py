@@ -34,9 +34,10 @@ from meshpoint.gearbox import MainGear
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.version import product_version
-from meshpoint.units import DEG
+from meshpoint.units import DEG, SECOND_US
 
 State = ControllerState
+AHEAD_OF_GEAR = (State.COASTING, State.ENGAGING, State.CLUTCH_CLOSING)
 
 
 def engagements(loop: Loop, *events: EngagementEvent) -> list[ReferenceEngagement]:
@@ -135,24 +136,26 @@ def test_what_no_gearbox_can_do_is_refused(one_shift: Loop) -> None:
 
 
 def test_the_sleeve_is_fired_once_and_the_brake_is_off_by_then(one_shift: Loop) -> None:
-    """From commands alone: once the old gear is out no step drives brake and main valves together.
-    Before, the brake's air is on its way while a valve still pulls the old gear out."""
+    """From commands alone: once the old gear is out, and its sleeve comes to rest in neutral, one
+    main valve is driven, once, and in no step the brake with it. Before, the brake's air is on its
+    way while valves still pull the old gear out and stop its sleeve."""
     drive = (ValveAction.ON_NOW, ValveAction.ON_AT)
-    fired: list[bool] = []
-    is_out = False
-    for command in one_shift.of(ValveCommand):
-        main = (
-            command.main_first_action,
-            command.main_second_action,
-            command.main_crawl_action,
-            command.main_third_action,
-        )
-        is_out |= bool(fired) and fired[-1] and not any(action in drive for action in main)
-        together = command.brake_action in drive and any(action in drive for action in main)
-        assert not (is_out and together)
-        fired.append(command.main_second_action in drive)
-    # First gear is pulled out by the valve of second, then second is fired: two pulses.
-    assert [b for a, b in pairwise(fired) if a is not b] == [True, False, True, False]
+    fired: list[tuple[bool, ...]] = []
+    state = State.STARTING
+    for _, message in one_shift.messages:
+        if isinstance(message, ControllerStatus):
+            state = message.state
+        elif isinstance(message, ValveCommand) and state in (State.SYNCHRONISING, *AHEAD_OF_GEAR):
+            main = (
+                message.main_first_action,
+                message.main_second_action,
+                message.main_crawl_action,
+                message.main_third_action,
+            )
+            fired.append(tuple(action in drive for action in main))
+            assert not (message.brake_action in drive and any(fired[-1]))
+    driven = [after for before, after in pairwise(fired) if before != after]
+    assert driven == [(False, True, False, False), (False,) * 4]
     assert one_shift.outcomes[0].attempts == 1
 
 
@@ -215,22 +218,34 @@ def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
 
 def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm: within a tenth of half
-    a gap. Contact is up to a tick after the newest edges, when less is known."""
+    a gap, and surely so once the brake's air has fallen for a time constant. Contact is up to a
+    tick after the newest edges, when less is known."""
+    emptied_us = [e.event_time_us for e in engagements(six_shifts, EngagementEvent.BRAKE_EMPTIES)]
+    falls_us = SECOND_US * SHEET.brake.time_constant_s
     contacts = engagements(six_shifts, EngagementEvent.GAP_CONTACT)
     reported = [each for each in six_shifts.of(ControllerEstimates) if each.phase_known]
-    tenth_rad = 0.05 * SHEET.dog.backlash_rad
+    tenth_rad, is_sure = 0.05 * SHEET.dog.backlash_rad, []
     for outcome in aimed(six_shifts):
         contact_us = outcome.measured_contact_time_us
         near = min(contacts, key=lambda c: abs(c.event_time_us - contact_us))
         sd_rad = min(reported, key=lambda e: abs(e.estimate_time_us - contact_us)).phase_sd_rad
-        assert 3.0 * sd_rad < tenth_rad
-        assert abs(outcome.estimated_phase_rad - near.phase_rad) < tenth_rad
+        error_rad = abs(outcome.estimated_phase_rad - near.phase_rad)
+        assert error_rad < tenth_rad
+        assert error_rad < 3.0 * sd_rad
+        since_us = contact_us - max(at_us for at_us in emptied_us if at_us < contact_us)
+        is_sure.append(3.0 * sd_rad < tenth_rad)
+        assert is_sure[-1] or since_us < falls_us
+    assert sum(is_sure) >= len(is_sure) - 1
 
 
 def test_the_controllers_phase_at_contact_is_what_it_had_planned(six_shifts: Loop) -> None:
     """Prediction error less the sleeve's chance: 3.5 sigma of its own claim. The plan weighs time
-    and miss, so it aims at the gap, not always at its middle."""
-    for outcome in aimed(six_shifts):
+    and miss, so it aims at the gap, not always at its middle. The sleeve of the preset `thesis` is
+    a delay and cannot be stopped on its way: called back it runs to neutral, whatever the law
+    says, and its next stroke begins there. How an aborted one goes on is said of the truck's."""
+    planned = [outcome for outcome in aimed(six_shifts) if outcome.aborts == 0]
+    assert len(planned) >= 3
+    for outcome in planned:
         assert abs(outcome.predicted_phase_rad) < SHEET.dog.backlash_rad / 2.0
         sigma = outcome.predicted_phase_sd_rad
         assert abs(outcome.estimated_phase_rad - outcome.predicted_phase_rad) < 3.5 * sigma

@@ -3,6 +3,7 @@ firing and its contact the main shaft's speed changes by 60 rpm and more."""
 
 from __future__ import annotations
 
+import pytest
 from loop_bench import Loop
 
 from meshpoint.controller.settings import ControllerSettings
@@ -15,7 +16,7 @@ from meshpoint.testbench.loop.bench_builder import tick_phases
 from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT
 from meshpoint.units import RPM
 
-TRUCK12 = load_sheet("truck12")
+THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
 CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
 DOUBT_RPM = 10.0
 
@@ -69,3 +70,17 @@ def test_a_main_shaft_that_falls_back_through_its_backlash_meets_no_sleeve() -> 
     assert row.result == "engaged"
     assert row.slip_rpm is not None
     assert in_the_window(row.slip_rpm)
+
+
+@pytest.mark.parametrize("seed", [5, 8, 9])
+def test_the_first_pull_of_a_gearbox_whose_cylinders_nobody_stated_ends_in_neutral(
+    seed: int,
+) -> None:
+    """Its detents, pipes and vents are taken to be the usual ones; it does not fly on to the
+    opposite gear, which turns 430 rpm too fast."""
+    loop = Loop([(300_000, 10)], sheet=THESIS, preset=Preset.TRUCK, seed=seed).run(1_600_000)
+    assert [outcome.result for outcome in loop.outcomes] == [ShiftResult.ENGAGED]
+    slips = slips_rpm(loop)
+    assert slips
+    assert all(in_the_window(slip) for slip in slips), slips
+    assert loop.status.guard_blocks == 0

@@ -14,7 +14,7 @@ import meshpoint.controller.core
 import meshpoint.controller.guard.case
 import meshpoint.controller.guard.listening as guard_ear
 import meshpoint.controller.node
-import meshpoint.controller.shift.valve_board
+import meshpoint.controller.valve_name
 import meshpoint.rig_sim.shared.valve_drivers
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
@@ -86,13 +86,9 @@ def test_the_valves_stand_in_the_same_order_everywhere(database: Database) -> No
     def camel(name: str) -> str:
         return "".join(part.capitalize() for part in name.split("_"))
 
-    assert [
-        camel(valve.name) for valve in meshpoint.controller.shift.valve_board.ValveName
-    ] == on_wire
+    assert [camel(valve.name) for valve in meshpoint.controller.valve_name.ValveName] == on_wire
     assert [camel(valve.name) for valve in meshpoint.rig_sim.shared.valve_drivers.Valve] == on_wire
-    assert [int(valve) for valve in meshpoint.controller.shift.valve_board.ValveName] == list(
-        range(9)
-    )
+    assert [int(valve) for valve in meshpoint.controller.valve_name.ValveName] == list(range(9))
 
 
 def test_the_guard_reads_the_frame_where_the_dbc_has_it(database: Database) -> None:

@@ -9,9 +9,10 @@ from meshpoint.controller.guard.rules import (
     PROOF_STEPS,
     Guard,
 )
+from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
@@ -66,8 +67,21 @@ def speeds(
     return a, b, c, d
 
 
-NEUTRAL = GuardInputs(NOW, (0.0, 0.0, 0.012, -0.012), 0.0, 9.5e5, 1.013e5, speeds(), 0, valid=True)
-"""Clutch open, main box in neutral, high split, low range, second gear near: a shift's moment."""
+def calm(turning: tuple[Speed, Speed, Speed, Speed]) -> tuple[Swing, Swing]:
+    """Layshaft and main shaft as they are if they have turned at these speeds for a period."""
+    _, *both, _ = turning
+    layshaft, main = (
+        Swing(speed, 0.0, speed.omega_rad_s, speed.omega_rad_s, 0.0, 0.0) for speed in both
+    )
+    return layshaft, main
+
+
+NEUTRAL = GuardInputs(
+    NOW, (0.0, 0.0, 0.012, -0.012), 0.0, 9.5e5, 1.013e5, speeds(), 0,
+    valid=True, swings=calm(speeds()),
+)  # fmt: skip
+"""Clutch open, main box in neutral, high split, low range, second gear near, no shaft swings: a
+shift's moment."""
 
 
 def place(seen: GuardInputs, sleeve: int, position_m: float) -> GuardInputs:
@@ -111,7 +125,8 @@ def blocked_row(
 def near(valve: ValveName) -> GuardInputs:
     """The moment at which this valve may be driven."""
     if valve in MAIN:
-        return NEUTRAL._replace(speeds=speeds(gear=GEAR_OF[valve]))
+        turning = speeds(gear=GEAR_OF[valve])
+        return NEUTRAL._replace(speeds=turning, swings=calm(turning))
     return NEUTRAL
 
 

@@ -37,7 +37,7 @@ def cost_of(predictor: GearPredictor, contact_us: float, variance: float) -> flo
     """The price of a contact in seconds, as docs/strategy.md has it."""
     trajectory = predictor.trajectory(contact_us, 1.0, 1)
     phase, slip = float(trajectory.phase_rad[0]), float(trajectory.slip_rad_s[0])
-    moved = slip * SHEET.dog.most_overlap_m / SHEET.sleeve.contact_speed_m_s
+    moved = slip * SHEET.dog.most_overlap_m / predictor.contact_speed_m_s
     centre = SETTINGS.aim.target_rad(SHEET.dog.backlash_rad) - moved / 2.0
     off = math.remainder(phase - centre, PITCH)
     sd = math.sqrt(variance + (slip * predictor.delay_sd_s) ** 2)

@@ -30,7 +30,7 @@ def predictor(braked: bool = False) -> GearPredictor:
         brake.set_delays(off_us=OFF_DELAY_US, on_us=500)
         brake.schedule(ON_US - 500, True, -1)
     return GearPredictor(GEAR, RATIO, LAYSHAFT, MAIN, brake, MODEL, learned(AT_ZERO), 45_000,
-                         DELAY_SD_S, DRIFT, SHARE)  # fmt: skip
+                         DELAY_SD_S, DRIFT, SHARE, 33_000, 0.3)  # fmt: skip
 
 
 def trajectory(time_us: float, release_us: float | None = None) -> tuple[float, float]:

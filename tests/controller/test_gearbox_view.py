@@ -70,10 +70,11 @@ def test_the_gear_follows_from_where_the_sleeves_stand(
 @settings(deadline=None)
 @given(first_second=st.floats(-12, 12), crawl_third=st.floats(-12, 12))
 def test_between_neutral_and_mesh_there_is_no_gear(first_second: float, crawl_third: float) -> None:
-    """1 mm from the middle is neutral, 1 mm from the stroke is in mesh, all else is under way."""
+    """1.5 mm from the middle is neutral: its detent brings a sleeve there. 1 mm from the stroke is
+    in mesh, all else is under way."""
     view = view_at(first_second, crawl_third, STROKE, STROKE)
     gear = view.main_gear
-    if max(abs(first_second), abs(crawl_third)) < 0.99:
+    if max(abs(first_second), abs(crawl_third)) < 1.49:
         assert gear is MainGear.NEUTRAL
     elif min(abs(abs(first_second) - 11.0), abs(abs(crawl_third) - 11.0)) < 0.01:
         return  # on the very edge either is right
@@ -81,7 +82,7 @@ def test_between_neutral_and_mesh_there_is_no_gear(first_second: float, crawl_th
         assert gear is (MainGear.FIRST if first_second < 0 else MainGear.SECOND)
     elif abs(crawl_third) > 11.01:
         assert gear is (MainGear.CRAWL if crawl_third < 0 else MainGear.THIRD)
-    elif 1.01 < max(abs(first_second), abs(crawl_third)) < 10.99:
+    elif 1.51 < max(abs(first_second), abs(crawl_third)) < 10.99:
         assert gear is None
 
 
@@ -132,25 +133,6 @@ def test_a_sensor_that_reports_a_fault_takes_all_gears_away_till_it_reports_none
         assert view.complete is is_known
         assert view.gear_number == (10 if is_known else -1)
         assert (view.split, view.range_) == ((Split.HIGH, Range.HIGH) if is_known else (None, None))
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_a_contact_is_that_of_the_nominal_place_though_it_is_seen_four_tenths_before(
-    direction: int,
-) -> None:
-    """As far as the sleeve goes in that time at its speed; by the sensor's own rest, which goes to
-    a resting sleeve's newest sample by a twentieth each frame."""
-    view, still = GearboxView(SHEET), (0.0,) * 10
-    for rest_m, time_us in ((5e-4, 0), (9e-4, 20_000)):
-        view.sleeves_main(SleevesMain(0, 0, (rest_m, *still[1:]), still), time_us)
-    off_m = 0.05 * 5e-4 * 0.95 + 0.05 * 9e-4
-    level_m = SHEET.sleeve.to_contact_m - 4e-4 + off_m * direction
-    way = tuple(direction * (level_m + 1e-4 - 3e-4 * k) for k in range(10))
-    view.sleeves_main(SleevesMain(0, 0, way, still), 70_000)
-    ahead_us = 4e-4 / SHEET.sleeve.speed_m_s * 1e6
-    seen_us = view.contact_us(Sleeve.FIRST_SECOND, direction)
-    assert seen_us == pytest.approx(70_000 - 1000.0 / 3.0 + ahead_us)
-    assert view.contact_us(Sleeve.FIRST_SECOND, -direction) is None
 
 
 def test_a_gear_is_engaged_when_its_sleeve_comes_within_the_last_millimetre() -> None:

@@ -43,13 +43,13 @@ from meshpoint.controller.guard.rules import (
     Guard,
     slip_out_of_its_window,
 )
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.gearbox import MainGear, Split
 
 
 def test_every_row_of_the_list_is_there_once() -> None:
-    assert sorted(row.number for row in GUARD_ROWS) == [*range(1, 14), 17, 18, 19]
+    assert sorted(row.number for row in GUARD_ROWS) == [*range(1, 14), 17, 18, 19, 20]
     assert {row.number for row in GUARD_ROWS if row.latches} == {1, 2}
 
 
@@ -183,7 +183,8 @@ def test_row_4_engaging_on_a_lost_speed(shaft: int) -> None:
 
 @pytest.mark.parametrize("valve", [v for v in ValveName if v is not ValveName.BRAKE])
 def test_row_7_a_valve_on_for_too_long(valve: ValveName) -> None:
-    """Resent every tick; off for one frame in between begins anew."""
+    """Resent every tick; off for one frame in between begins anew, where a main sleeve is seen to
+    stand meanwhile."""
     guard, on = ready(), payload(valve, how=ValveAction.ON_NOW)
     seen, limit_us = near(valve), LIMITS.valve_on_us
     turning = seen.speeds
@@ -191,8 +192,9 @@ def test_row_7_a_valve_on_for_too_long(valve: ValveName) -> None:
         moved = tuple(s._replace(time_us=NOW + later_us) for s in turning if s is not None)
         guard.passes(on, seen._replace(now_us=NOW + later_us, speeds=moved))
         assert guard.blocked_row == row
-    assert guard.passes(payload(), seen)
-    assert guard.passes(on, seen)
+    rested = seen._replace(positions_us=NOW + limit_us + 20_000)
+    assert guard.passes(payload(), rested)
+    assert guard.passes(on, rested)
 
 
 @pytest.mark.parametrize("valve", ValveName)
@@ -294,14 +296,19 @@ def test_row_10_nor_is_a_splitter_step() -> None:
 
 def test_a_valve_that_has_pulled_a_gear_out_may_stay_on_to_neutral_and_no_further() -> None:
     """Seen a read late: in neutral it is no engagement yet, 1.6 mm on it is."""
-    guard, on = ready(), payload(ValveName.MAIN_CRAWL, how=ValveAction.ON_NOW)
+    guard, valve = ready(), ValveName.MAIN_CRAWL
     fast = NEUTRAL._replace(speeds=speeds(gear=MainGear.CRAWL, slip_rpm=200.0))
+    on = payload(valve, at_us=NOW + 1_000)
+    off = payload(valve, how=ValveAction.OFF_AT, at_us=NOW + 20_000)
     assert guard.passes(on, place(fast, 1, 0.012))
-    assert guard.passes(on, place(fast, 1, 0.0))
-    assert guard.passes(on, place(fast, 1, -1.4e-3))
-    assert not guard.passes(on, place(fast, 1, -1.6e-3))
+    for later_us, way_m in ((10_000, 0.0), (15_000, -1.4e-3)):
+        seen_us = {"now_us": NOW + later_us, "positions_us": NOW + later_us - 1_000}
+        assert guard.passes(off, place(fast, 1, way_m)._replace(**seen_us))
+    far = place(fast, 1, -1.6e-3)._replace(now_us=NOW + 18_000, positions_us=NOW + 17_000)
+    assert not guard.passes(off, far)
     assert guard.blocked_row == 3
-    assert not guard.passes(on, place(fast, 1, 0.0))  # and not again without having pulled
+    again = payload(valve, how=ValveAction.ON_NOW)
+    assert not guard.passes(again, place(far, 1, 0.0))  # and not again without having pulled
 
 
 @pytest.mark.parametrize("valve", ValveName)

@@ -20,7 +20,7 @@ from guard_cases import (
 
 from meshpoint.controller.guard.case import NO_SPANS, Span
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.units import RPM
 
@@ -28,8 +28,9 @@ from meshpoint.units import RPM
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("sleeve", [0, 1])
 def test_row_5_the_brake_with_a_gear_in_mesh(sleeve: int, side: float) -> None:
-    assert blocked_row(place(NEUTRAL, sleeve, side * 1.4e-3), ValveName.BRAKE) is None
-    assert blocked_row(place(NEUTRAL, sleeve, side * 1.6e-3), ValveName.BRAKE) == 5
+    """A sleeve that stands before the teeth, at 5 mm, touches none."""
+    assert blocked_row(place(NEUTRAL, sleeve, side * 4.7e-3), ValveName.BRAKE) is None
+    assert blocked_row(place(NEUTRAL, sleeve, side * 4.9e-3), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_against_the_engine() -> None:
@@ -56,7 +57,9 @@ def test_row_5_the_clutch_as_it_will_be_when_the_air_comes_in(
 def leaving(position_mm: float, speed_m_s: float, side: int = 1) -> GuardInputs:
     """The sleeve of first and second on its way out of second (side 1) or first, as of now."""
     seen = place(NEUTRAL, 0, side * position_mm * 1e-3)
-    return seen._replace(positions_us=NOW, speeds_m_s=(-side * speed_m_s, 0.0))
+    return seen._replace(
+        positions_us=NOW, speeds_m_s=(speed := -side * speed_m_s, 0.0), means_m_s=(speed, 0.0)
+    )
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -69,7 +72,9 @@ def leaving(position_mm: float, speed_m_s: float, side: int = 1) -> GuardInputs:
         (10.3, -0.25, 5_000, 5),  # on its way back in
         (11.8, 0.04, 5_000, 5),  # too slow to tell from noise
         (4.4, 0.5, 0, None),  # clear already
-        (4.6, 0.0, 0, 5),
+        (4.6, 0.0, 0, None),  # it stands, apart from the teeth
+        (4.6, -0.06, 0, 5),  # it goes back in
+        (4.9, 0.0, 0, 5),
     ],
 )
 def test_row_5_a_gear_on_its_way_out_by_the_time_the_air_comes_in(
@@ -83,8 +88,11 @@ def test_row_5_a_gear_on_its_way_out_by_the_time_the_air_comes_in(
     assert guard.blocked_row == row
 
 
-def test_row_5_a_gear_that_no_valve_pulls_is_not_on_its_way_out() -> None:
-    assert blocked_row(leaving(4.4, 0.5), ValveName.BRAKE) == 5
+def test_row_5_a_gear_that_no_valve_pulls_is_out_only_where_it_is_measured_to_be() -> None:
+    """Its pulse is over, and it runs on: 4.4 mm is clear of the teeth, 4.6 mm is not yet."""
+    assert blocked_row(leaving(4.6, 0.5), ValveName.BRAKE) == 5
+    assert blocked_row(leaving(4.4, 0.5), ValveName.BRAKE) is None
+    assert blocked_row(leaving(4.4, 0.05), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_while_a_gear_is_being_engaged() -> None:

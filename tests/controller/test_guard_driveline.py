@@ -6,7 +6,7 @@ import copy
 import dataclasses
 
 import pytest
-from guard_cases import LIMITS, NOW, SHEET
+from guard_cases import LIMITS, NOW, SHEET, calm
 
 from meshpoint.controller.guard.driveline import DrivelineGuard, decode_clutch, decode_engine
 from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
@@ -35,16 +35,18 @@ def of(rpm: float) -> Speed:
     return Speed(NOW - 10_000, rpm * RPM)
 
 
+TURNING = (of(INPUT_RPM), of(LAYSHAFT_RPM), of(MAIN_RPM), of(MAIN_RPM / 3.75))
 IN_GEAR = GuardInputs(
     NOW,
     (0.012, 0.0, 0.012, -0.012),
     0.0,
     9.5e5,
     1.013e5,
-    (of(INPUT_RPM), of(LAYSHAFT_RPM), of(MAIN_RPM), of(MAIN_RPM / 3.75)),
+    TURNING,
     0,
     valid=True,
     engine_rad_s=INPUT_RPM * RPM,
+    swings=calm(TURNING),
 )
 """Second gear, high split, low range; the clutch open, the engine at the input shaft's speed."""
 IN_NEUTRAL = IN_GEAR._replace(positions_m=(0.0, 0.0, 0.012, -0.012))

@@ -135,7 +135,7 @@ def test_all_needed_channels_must_be_heard_and_no_sensor_faulty() -> None:
     ear.take([frame(SLEEVES_AUX, 4)], 0)
     assert ear.hears_all
     assert set(ear.slow) == set(needed)
-    assert Slow(0, ()) == (0, (), False, (0.0, 0.0))
+    assert Slow(0, ()) == (0, (), False, (0.0, 0.0), (0.0, 0.0))
 
 
 def test_frames_with_short_identifiers_are_of_somebody_else() -> None:
@@ -146,9 +146,9 @@ def test_frames_with_short_identifiers_are_of_somebody_else() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize("byte", [8, 14, 28, 34])
+@pytest.mark.parametrize("byte", [8, 14, 26, 28, 34, 46])
 def test_a_position_beyond_20_mm_is_none(byte: int, sign: int) -> None:
-    """The newest of each sleeve, and the one 3 ms before it."""
+    """The newest of each sleeve, the one 3 ms before it and the oldest."""
     ear = GuardEar()
     assert ear.take([frame(SLEEVES_MAIN, 0, 5, {byte: sign * 20_000})], 0) == [5]
     assert ear.take([frame(SLEEVES_MAIN, 1, 6, {byte: sign * 20_001})], 0) == []
@@ -158,9 +158,11 @@ def test_a_position_beyond_20_mm_is_none(byte: int, sign: int) -> None:
     assert not ear.channels[SLEEVES_MAIN].is_valid
 
 
-def test_a_sleeves_speed_is_taken_over_3_ms() -> None:
+def test_a_sleeves_speed_is_taken_over_3_ms_and_over_the_whole_frame() -> None:
     ear = GuardEar()
-    ear.take([frame(SLEEVES_MAIN, 0, 5, {8: 900, 14: 600, 28: -300, 34: 300})], 0)
+    positions = {8: 900, 14: 600, 26: 450, 28: -300, 34: 300, 46: 60}
+    ear.take([frame(SLEEVES_MAIN, 0, 5, positions)], 0)
+    assert ear.slow[SLEEVES_MAIN].means_m_s == pytest.approx((0.05, -0.04))
     assert ear.slow[SLEEVES_MAIN].values == pytest.approx((900e-6, -300e-6))
     assert ear.slow[SLEEVES_MAIN].speeds_m_s == pytest.approx((0.1, -0.2))
 
@@ -282,4 +284,5 @@ def test_the_engine_and_the_gear_asked_for() -> None:
 def test_what_the_guard_sees_before_it_has_heard_of_engine_clutch_or_request() -> None:
     seen = GuardInputs(1, (0.0,) * 4, 0.0, 0.0, 0.0, (None,) * 4, 0, True)
     rest: Any = seen[8:]
-    assert rest == (None, None, 0, 0, (0.0, 0.0), 0, None, 0.0, 0, False, True, (), (None, None))
+    assert rest == (None, None, 0, 0, (0.0, 0.0), 0, None, 0.0, 0, False, True, (), (None, None),
+                    (0.0, 0.0))  # fmt: skip

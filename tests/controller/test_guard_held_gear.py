@@ -7,13 +7,15 @@ import math
 import pytest
 
 from meshpoint.controller.guard.held_gear import HeldGear, Shaft
-from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve
+from meshpoint.controller.guard.limits import MainValve
 from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
 
 FIRST, THIRD = 3, 6
 MAIN = {FIRST: MainValve(0, -1, 0.5), THIRD: MainValve(1, 1, 1.0)}
 PITCH_RAD = math.radians(7.5)
 NEUTRAL = (0.0, 0.0)
+APART_M = 0.0048
+"""Of the teeth: a sleeve measured short of it is in no gear."""
 START_US = 5_000_000
 TEETH = 49
 """Of both wheels: two pass in a little less of a turn than two pitches of the dog teeth are."""
@@ -26,13 +28,13 @@ def shaft(teeth: int, late_us: int = 0, turns_s: float | None = 1.0) -> Shaft:
 
 
 def held(valve: int = THIRD) -> HeldGear:
-    gear = HeldGear(MAIN, PITCH_RAD)
+    gear = HeldGear(MAIN, PITCH_RAD, APART_M)
     assert gear.take(valve, NEUTRAL, shaft(200), shaft(100)) == valve
     return gear
 
 
 def test_nothing_is_held_before_a_gear_was_seen_to_turn_with_its_sleeve() -> None:
-    gear = HeldGear(MAIN, PITCH_RAD)
+    gear = HeldGear(MAIN, PITCH_RAD, APART_M)
     assert gear.take(0, NEUTRAL, shaft(200), shaft(100)) == 0
     assert gear.take(0, NEUTRAL, shaft(900), shaft(100)) == 0
 
@@ -85,10 +87,10 @@ def test_what_is_not_known_frees_no_gear(unknown: Shaft) -> None:
 
 @pytest.mark.parametrize("sleeve", [0, 1])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_sleeve_measured_out_of_neutral_is_no_longer_denied(sleeve: int, sign: float) -> None:
+def test_a_sleeve_measured_at_its_gears_teeth_is_no_longer_denied(sleeve: int, sign: float) -> None:
     for away_m, valve in ((0.0, THIRD), (1e-9, 0)):
         positions = [0.0, 0.0]
-        positions[sleeve] = sign * (GUARD_NEUTRAL_M + away_m)
+        positions[sleeve] = sign * (APART_M + away_m)
         gear = held()
         assert gear.take(0, tuple(positions), shaft(200), shaft(100)) == valve
         assert gear.take(0, NEUTRAL, shaft(200), shaft(100)) == valve

@@ -1,17 +1,22 @@
-"""Row 3 at the last moment at which a fired sleeve can be withdrawn: what the shafts may do until
-contact is bounded by what they have done within a period."""
+"""Row 3 in the last step in which a fired sleeve's valve going off stops it short of the teeth, and
+in the last one before contact: what the shafts may do until contact is bounded by what they have
+done within a period."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
-from guard_cases import NEUTRAL, NOW, SHEET, encoded, payload, ready, speeds
+from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, encoded, payload, ready, speeds
 from test_guard_view import LAYSHAFT_EDGES, MAIN_EDGES, SLOW, frame, turning, view
 
+from meshpoint.controller.guard.limits import REACT_US
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 from meshpoint.controller.guard.swing import Swing, SwingMemory
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ValveCommand
 from meshpoint.gearbox import MainGear
 from meshpoint.units import RPM
@@ -22,6 +27,10 @@ FIRED_US = NOW - 31_000
 """The sleeve may meet its gear from 9 ms after NOW on, and does within 19 ms: 29 ms after the
 newest speeds, which are 10 ms old."""
 AHEAD_S = 0.029
+OLD_S = 0.010
+STOPS_US = FIRED_US + math.ceil(longest_pulse_us(LIMITS, 0.0))
+"""A valve that is off then has not moved its sleeve to the teeth."""
+LAST_STOP_US = STOPS_US - 1
 CYCLE_US = 10_000
 
 
@@ -36,7 +45,7 @@ def at(now_us: int) -> GuardInputs:
     """Neutral, second gear near, at another time; how the shafts swing is not known."""
     earlier_us = now_us - NOW
     moved = [speed._replace(time_us=speed.time_us + earlier_us) for speed in speeds()]
-    return NEUTRAL._replace(now_us=now_us, speeds=tuple(moved))
+    return NEUTRAL._replace(now_us=now_us, speeds=tuple(moved), swings=(None, None))
 
 
 def swinging(
@@ -97,8 +106,11 @@ def test_however_fast_it_swings_no_further_than_it_has_been(
 
 
 def test_a_layshaft_that_gains_speed_is_not_taken_to_lose_any() -> None:
-    assert judged(swinging(slip_rpm=-69.5, layshaft_rpm_s=900.0)) is None
-    assert judged(swinging(slip_rpm=-70.5, layshaft_rpm_s=900.0)) == 3
+    """Nor to gain any until contact: the main shaft may rise by 9.5 rpm, which with the slip is the
+    window and its doubt of 1 rad/s."""
+    for up_rpm, row in ((9.5, None), (9.6, 3)):
+        rises = {"rises_rpm_s": 1e5, "up_rpm": up_rpm}
+        assert judged(swinging(slip_rpm=-60.0, layshaft_rpm_s=900.0, **rises)) == row
 
 
 @pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])
@@ -120,11 +132,87 @@ def test_the_last_call_is_from_a_step_before_the_earliest_contact_until_it(
     assert judged(at(NOW + later_us)) == row
 
 
-def test_what_is_taken_back_can_be_fired_anew() -> None:
-    guard = fired()
-    assert judged(swinging(falls_rpm_s=-1e4), guard) == 3
-    assert guard.passes(encoded(ValveCommand()), at(NOW + 10_000))
-    assert guard.passes(payload(SECOND, at_us=NOW + 24_000), at(NOW + 20_000))
+@pytest.mark.parametrize(
+    ("now_us", "row"),
+    [
+        (STOPS_US - REACT_US - 1, None),
+        (STOPS_US - REACT_US, 3),
+        (STOPS_US - 1, 3),
+        (STOPS_US, None),
+    ],
+)
+def test_the_last_stop_is_the_last_step_in_which_the_valve_going_off_stops_the_sleeve(
+    now_us: int, row: int | None
+) -> None:
+    """Judged with a swing that is not known."""
+    assert judged(at(now_us)) == row
+
+
+def at_the_last_stop(**swing: float) -> GuardInputs:
+    """As `swinging`, in that step."""
+    seen, earlier_us = swinging(**swing), LAST_STOP_US - NOW
+
+    def moved(speed: ShaftSpeed) -> ShaftSpeed:
+        return speed._replace(time_us=speed.time_us + earlier_us)
+
+    swings = [each._replace(newest=moved(each.newest)) for each in seen.swings if each is not None]
+    layshaft, main = swings
+    turning = tuple(moved(speed) for speed in seen.speeds if speed is not None)
+    return seen._replace(now_us=LAST_STOP_US, speeds=turning, swings=(layshaft, main))
+
+
+@pytest.mark.parametrize(
+    ("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)], ids=["in the window", "out of it"]
+)
+def test_at_the_last_stop_the_main_shaft_may_go_on_as_it_has_until_contact(
+    beyond_rpm: float, row: int | None
+) -> None:
+    ahead_s = AHEAD_S + 1e-6 * (NOW - LAST_STOP_US)
+    falls_rpm_s, rises_rpm_s = -(110.0 + beyond_rpm) / ahead_s, (90.0 + beyond_rpm) / ahead_s
+    assert judged(at_the_last_stop(falls_rpm_s=falls_rpm_s)) == row
+    assert judged(at_the_last_stop(rises_rpm_s=rises_rpm_s)) == row
+    fast = {"falls_rpm_s": -1e5, "rises_rpm_s": 1e5}
+    assert judged(at_the_last_stop(down_rpm=110.0 + beyond_rpm, up_rpm=0.0, **fast)) == row
+    assert judged(at_the_last_stop(down_rpm=0.0, up_rpm=90.0 + beyond_rpm, **fast)) == row
+
+
+@pytest.mark.parametrize(
+    ("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)], ids=["in the window", "out of it"]
+)
+def test_at_the_last_stop_the_layshaft_has_fallen_on_until_now(
+    beyond_rpm: float, row: int | None
+) -> None:
+    """Its newest speed is 10 ms old; slip and margin may be 130 rpm at most and -70 at least. From
+    now on it keeps its speed: the brake may slow it still, and what it does until contact is asked
+    at the last call."""
+    high = at_the_last_stop(slip_rpm=140.0 + beyond_rpm, layshaft_rpm_s=-10.0 / RATIO / OLD_S)
+    low = at_the_last_stop(slip_rpm=-60.0 - beyond_rpm, layshaft_rpm_s=-10.0 / RATIO / OLD_S)
+    assert judged(high) == row
+    assert judged(low) == row
+
+
+def test_at_the_last_stop_a_layshaft_that_gains_speed_is_taken_to_keep_it() -> None:
+    assert judged(at_the_last_stop(slip_rpm=129.5, layshaft_rpm_s=1e4)) is None
+    assert judged(at_the_last_stop(slip_rpm=130.5, layshaft_rpm_s=1e4)) == 3
+
+
+@pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])
+def test_at_the_last_stop_a_swing_that_is_not_known_forbids(unknown: int) -> None:
+    seen = at_the_last_stop()
+    assert judged(seen) is None
+    layshaft, main = (None if k == unknown else each for k, each in enumerate(seen.swings))
+    assert judged(seen._replace(swings=(layshaft, main))) == 3
+
+
+def test_what_is_taken_back_can_be_fired_anew_once_it_is_seen_to_stand() -> None:
+    """The slowest valve shuts 17 ms after it is off. Before, the sleeve may be at the teeth."""
+    for sampled_us, row in ((NOW + 17_000, None), (NOW + 16_999, 3)):
+        guard = fired()
+        assert judged(swinging(falls_rpm_s=-1e4), guard) == 3
+        assert guard.passes(encoded(ValveCommand()), at(NOW + 10_000))
+        seen = at(NOW + 20_000)._replace(positions_us=sampled_us)
+        guard.passes(payload(SECOND, at_us=NOW + 24_000), seen)
+        assert guard.blocked_row == row
 
 
 def remembered(*speeds_rpm: float, cycle_us: int = CYCLE_US) -> Swing | None:
@@ -159,8 +247,10 @@ def test_extremes_are_those_of_one_period() -> None:
         assert swing.rises_rad_s2 == pytest.approx(rose_rpm_s * RPM)
 
 
-@pytest.mark.parametrize(("cycle_us", "is_known"), [(20_000, True), (20_001, False)])
+@pytest.mark.parametrize(("cycle_us", "is_known"), [(22_500, True), (22_501, False)])
 def test_speeds_far_apart_say_nothing_of_a_rate(cycle_us: int, is_known: bool) -> None:
+    """Further than a quarter of a swing's period. A controller that steps every 20 ms hears speeds
+    as far apart, but for a tooth."""
     assert (remembered(500.0, 510.0, 530.0, cycle_us=cycle_us) is not None) is is_known
 
 
@@ -170,6 +260,17 @@ def test_the_same_speed_heard_again_changes_nothing_and_none_is_not_known() -> N
         swing = memory.take(ShaftSpeed(NOW + k * CYCLE_US, rpm * RPM))
     assert memory.take(ShaftSpeed(NOW + 2 * CYCLE_US, 530.0 * RPM)) == swing
     assert memory.take(None) is None
+
+
+def test_with_another_clock_no_rate_of_before_is_one_of_the_period() -> None:
+    memory = SwingMemory()
+    for k, rpm in enumerate((500.0, 510.0, 530.0)):
+        memory.take(ShaftSpeed(NOW + k * CYCLE_US, rpm * RPM))
+    memory.forget()
+    for k in range(3):
+        swing = memory.take(ShaftSpeed(NOW + (k + 3) * CYCLE_US, 500.0 * RPM))
+    assert swing is not None
+    assert (swing.falls_rad_s2, swing.rises_rad_s2) == (0.0, 0.0)
 
 
 def test_the_view_tells_how_the_shafts_swing_and_nothing_of_before_another_clock() -> None:

@@ -43,6 +43,8 @@ BY_HAND: dict[str, Any] = {
     "stroke_m": 0.012,
     "clutch_open_share": 0.3,  # parts at 0.35 +- 0.05
     "sleeve_scatter_us": 5_000.0,
+    "switch_again_us": 15_000,  # a tick and the bus
+    "before_teeth_us": 500_000,
     "brake_lag_us": 45_000.0,
     "brake_nm_per_pa": 100.0 / 850_000.0,
     "atmosphere_pa": 101_300.0,
@@ -132,8 +134,8 @@ def test_tables_and_pairs_are_as_worked_out_by_hand() -> None:
 @pytest.mark.parametrize(
     "name",
     ["sleeve_delay_us", "input_max_rad_s", "main_max_rad_s", "brake_j", "valve_on_us",
-     "brake_on_us", "plate_slip_rad_s", "clutch_travel_us", "closings", "closing_again_us",
-     "request_us"],
+     "before_teeth_us", "brake_on_us", "plate_slip_rad_s", "clutch_travel_us", "closings",
+     "closing_again_us", "request_us"],
 )  # fmt: skip
 @pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
 def test_limits_with_a_number_that_is_none_are_not_sane(name: str, value: float) -> None:
@@ -160,13 +162,16 @@ def test_a_main_sleeve_is_neutral_and_driven_toward_a_gear_exactly_up_to_their_l
     for position_m, is_neutral in ((GUARD_NEUTRAL_M, True), (GUARD_NEUTRAL_M + 1e-9, False)):
         for positions in ((position_m, 0.0), (0.0, -position_m)):
             assert case(positions_m=(*positions, 0.012, 0.012)).main_is_neutral() is is_neutral
+    apart_m = limits().apart_m
+    assert apart_m == contact_m - 0.2e-3
+    withstood = GuardState(withstood_us={SECOND: 40_000})
     for position_m, is_engaging in (
-        (-GUARD_NEUTRAL_M, True), (-GUARD_NEUTRAL_M - 1e-9, False),
-        (contact_m, True), (contact_m + 1e-9, False),
+        (-apart_m, True), (-apart_m - 1e-9, False), (contact_m, True), (contact_m + 1e-9, False),
     ):  # fmt: skip
-        judged = case({SECOND: DRIVEN}, positions_m=(position_m, 0.0, 0.012, 0.012))
+        driven = {SECOND: Span(NOW_US - 20_000, 1 << 62)}
+        judged = case(driven, withstood, positions_m=(position_m, 0.0, 0.012, 0.012))
         assert bool(judged.engaging()) is is_engaging
-    pulled = GuardState(pulls=frozenset({SECOND}))
+    pulled = GuardState(pulls=frozenset({SECOND}), withstood_us={SECOND: 40_000})
     for position_m, is_engaging in ((GUARD_NEUTRAL_M, True), (GUARD_NEUTRAL_M - 1e-9, False)):
         judged = case({SECOND: DRIVEN}, pulled, positions_m=(position_m, 0.0, 0.012, 0.012))
         assert bool(judged.engaging()) is is_engaging
@@ -174,9 +179,9 @@ def test_a_main_sleeve_is_neutral_and_driven_toward_a_gear_exactly_up_to_their_l
 
 @pytest.mark.parametrize(
     ("position_m", "is_pulling"),
-    [(-GUARD_NEUTRAL_M, False), (-GUARD_NEUTRAL_M - 1e-9, True), (0.001, False), (0.0, False)],
+    [(-limits().apart_m, False), (-limits().apart_m - 1e-9, True), (0.001, False), (0.0, False)],
 )
-def test_a_valve_pulls_where_its_sleeve_is_on_the_other_side(
+def test_a_valve_pulls_where_its_sleeve_may_be_in_the_other_gear(
     position_m: float, is_pulling: bool
 ) -> None:
     judged = case({SECOND: DRIVEN}, positions_m=(position_m, 0.0, 0.012, 0.012))
@@ -184,7 +189,8 @@ def test_a_valve_pulls_where_its_sleeve_is_on_the_other_side(
 
 
 def test_contact_is_expected_within_the_scatter_around_the_delay() -> None:
-    assert case().contact_us(Span(NOW_US, 0)) == (NOW_US + 40_000.0, NOW_US + 50_000.0)
+    found = case().contact_us(SECOND, Span(NOW_US, 0))
+    assert found == (NOW_US + 40_000.0, NOW_US + 50_000.0)
 
 
 @pytest.mark.parametrize(
@@ -230,15 +236,19 @@ def test_teeth_are_out_in_neutral_when_pulled_clear_or_fast_enough() -> None:
             read_ms: float = 0.0) -> bool:  # fmt: skip
         positions = (position_mm * 1e-3, 0.0, 0.012, 0.012)
         judged = case(
-            {valve: DRIVEN}, positions_m=positions, speeds_m_s=(speed_m_s, 0.0),
+            {valve: DRIVEN}, GuardState(pulls=frozenset({valve} - {FIRST})),
+            positions_m=positions, speeds_m_s=(speed_m_s, 0.0), means_m_s=(speed_m_s, 0.0),
             positions_us=NOW_US - round(read_ms * 1e3),
         )  # fmt: skip
         return judged.teeth_are_out(0, NOW_US + at_ms * 1e3)
 
-    assert out(-1.5)
-    assert not out(-1.6, valve=FIRST)  # pushed in, not pulled
-    assert not out(-4.5 - 1e-6)
-    assert out(-4.5 + 1e-6)  # 7.5 mm of 12: the teeth are 0.5 mm past each other
+    assert out(-1.5, 0.1)
+    assert not out(-1.6, 0.1, valve=FIRST)  # pushed in, not pulled
+    assert out(-4.8)  # it stands before the teeth
+    assert out(-4.8, valve=FIRST)
+    assert not out(-4.8 - 1e-6)
+    assert not out(-4.5 - 1e-6, -0.05)
+    assert out(-4.5 + 1e-6, -0.05)  # 7.5 mm of 12: the teeth are 0.5 mm past each other
     # 1 mm out at 0.2 m/s: s = a t^2 / 2 from 0.7 mm 1.5 ms ago, since 7 ms; 7.5 mm after 22.9 ms,
     # which is 14.4 ms from now.
     assert not out(-11.0, 0.2, 14.3)

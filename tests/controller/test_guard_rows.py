@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import pytest
-from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, payload, place, ready, speeds
+from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, calm, payload, place, ready, speeds
 from test_guard_driveline import CLOSE, IN_GEAR, INPUT_RPM, OPEN, engine
 
 from meshpoint.controller.guard import driveline, rules
@@ -15,7 +15,7 @@ from meshpoint.controller.guard.driveline import CLUTCH_ROWS, ENGINE_ROWS, Drive
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.rules import GUARD_ROWS
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox import Split
 from meshpoint.units import RPM
 
@@ -33,7 +33,7 @@ def too_fast() -> GuardInputs:
     ratio = LIMITS.main[int(ValveName.MAIN_FIRST)].ratio
     main = 1.01 * LIMITS.input_max_rad_s * SHEET.split_mesh(Split.HIGH).ratio * ratio
     turning = (None, ShaftSpeed(NOW, main / ratio), ShaftSpeed(NOW, main), None)
-    return NEUTRAL._replace(speeds=turning)
+    return NEUTRAL._replace(speeds=turning, swings=calm(turning))
 
 
 def without(shaft: int) -> GuardInputs:
@@ -59,7 +59,11 @@ FORBIDDEN: Final = {
     17: Forbidden(HIGH, NEUTRAL, lambda state: setattr(state, "wanted", None)),
     18: Forbidden(HIGH, NEUTRAL, lambda state: state.group_us.update({7: NOW - 100_000})),
     19: Forbidden(HIGH, NEUTRAL._replace(clock_error_us=12_001)),
-}
+    20: Forbidden(
+        (ValveName.SPLIT_LOW,), place(NEUTRAL, 0, 3e-3),
+        lambda state: state.before_teeth_us.update({0: NOW - 500_001}),
+    ),
+}  # fmt: skip
 DRIVELINE: Final = (14, 15, 16)
 
 

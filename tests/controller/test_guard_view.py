@@ -10,7 +10,7 @@ import pytest
 from guard_cases import LIMITS, SHEET
 from test_guard_ear import DATA_IDS, frame, j1939, write_crc
 
-from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve
+from meshpoint.controller.guard.limits import MainValve
 from meshpoint.controller.guard.listening import (
     LAYSHAFT_EDGES,
     MAIN_EDGES,
@@ -258,8 +258,8 @@ def test_less_than_nine_degrees_a_second_is_one_speed_in_each_half() -> None:
 
 @pytest.mark.parametrize("place", [0, 1])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_it_is_asked_in_neutral_alone(place: int, sign: float) -> None:
-    for position_m, valve in ((GUARD_NEUTRAL_M, 4), (GUARD_NEUTRAL_M + 1e-9, 0)):
+def test_it_is_asked_where_no_sleeve_is_at_its_teeth(place: int, sign: float) -> None:
+    for position_m, valve in ((LIMITS.apart_m, 4), (LIMITS.apart_m + 1e-9, 0)):
         positions = [0.0, 0.0]
         positions[place] = sign * position_m
         assert agreeing(positions=positions) == valve
@@ -274,7 +274,7 @@ def test_it_is_asked_while_both_shafts_are_seen_to_turn() -> None:
 def test_it_begins_anew_when_neutral_was_left_or_a_wheel_not_counted() -> None:
     turning = ShaftSpeed(0, TURNING)
     for wheel, positions in ((LAYSHAFT_EDGES, (0.0, 0.0)), (MAIN_EDGES, (0.0, 0.0)),
-                             (None, (0.002, 0.0))):  # fmt: skip
+                             (None, (0.0049, 0.0))):  # fmt: skip
         guard_view = view()
         for cycle in range(30):
             now_us, lost = CYCLE_US * cycle, cycle == 12

@@ -1,17 +1,15 @@
-"""Whatever the sensors say, what is learned of valves and sleeves stays within what a calibration
+"""Whatever the sensors say, what is learned of valves stays within what a calibration
 file may hold: the controller can read what it has written."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
-from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")
 SUPPLY_PA = SHEET.air.supply_gauge_pa
@@ -44,17 +42,3 @@ def test_the_brake_valve_s_delays_are_never_negative_nor_over_a_tenth_of_a_secon
     if record is not None:
         assert 0.0 <= record.off_delay_s <= MOST_S
         assert 0.0 <= record.on_delay_s <= MOST_S
-
-
-@pytest.mark.parametrize("step_ms", [-19.0, 19.0])
-def test_a_sleeve_s_delay_stays_longer_than_its_valve_s_and_short_enough_for_the_file(
-    step_ms: float,
-) -> None:
-    """Each contact a little off what is known by then, so that none is set aside as far off."""
-    delays = SleeveDelays(SHEET)
-    for _ in range(3000):
-        delays.learn(MainGear.SECOND, delays.delay_us(MainGear.SECOND) + 1e3 * step_ms)
-    record = delays.records().of(MainGear.SECOND)
-    assert record is not None
-    assert SHEET.sleeve.valve_delay_s <= record.delay_s <= 0.5
-    assert delays.delay_us(MainGear.SECOND) >= 1e6 * SHEET.sleeve.valve_delay_s

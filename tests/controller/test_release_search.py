@@ -32,7 +32,19 @@ def predictor() -> GearPredictor:
         brake.schedule(time_us, on, time_us)
     layshaft = LayshaftState(0.0, 1.0, (MAIN.omega_rad_s + 3.0) / RATIO, 2e5, 1e-3, 0.05, 1e3)
     return GearPredictor(
-        GEAR, RATIO, layshaft, MAIN, brake, MOTION, learned(0.2), DELAY_US, 1e-3, 0.1, 1.0
+        GEAR,
+        RATIO,
+        layshaft,
+        MAIN,
+        brake,
+        MOTION,
+        learned(0.2),
+        DELAY_US,
+        1e-3,
+        0.1,
+        1.0,
+        DELAY_US - 12_000,
+        0.3,
     )
 
 

@@ -29,7 +29,8 @@ from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.settings import ValveTiming
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard, ValveName
+from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,

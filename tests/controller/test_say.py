@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.report.log_lines import decision_line
-from meshpoint.dbc.messages import ShiftDecision
+from meshpoint.controller.report.log_lines import decision_line, outcome_line
+from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.dbc.messages import ShiftDecision, ShiftResult, Strategy
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import DEG, RPM
 
 
@@ -21,3 +23,11 @@ def test_a_phase_nobody_knows_is_not_given_a_number() -> None:
 
 def test_nothing_decided_says_nothing() -> None:
     assert decision_line(Plan(ShiftDecision.NONE, 0, 0, 0.0, 0.0, 0.0), 0) is None
+
+
+def test_the_end_of_a_shift_says_how_often_its_sleeve_was_fired_and_aborted_if_it_was() -> None:
+    shift = ShiftRecord(8, 10, DRIVE_GEARS[10], 0, Strategy.TARGET_PHASE, attempts=1)
+    shift.result = ShiftResult.ENGAGED
+    assert outcome_line(shift) == "shift 8 -> 10: engaged, 1 fired, fault none"
+    shift.aborts = 2
+    assert outcome_line(shift) == "shift 8 -> 10: engaged, 1 fired, 2 aborted, fault none"

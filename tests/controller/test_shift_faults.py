@@ -8,8 +8,9 @@ from collections.abc import Callable
 from typing import Final
 
 import pytest
-from test_shift_states import (
+from shift_box import (
     DOWN,
+    FAST_UP,
     FIRST_SECOND,
     SHEET,
     SPLIT,
@@ -21,7 +22,7 @@ from test_shift_states import (
 )
 
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, Sleeve
@@ -46,7 +47,7 @@ def without_air(box: Box) -> None:
 
 BROKEN: Final = [
     (UP, silent_clutch, FaultCode.CLUTCH_STUCK, ShiftResult.ENDED_IN_OLD_GEAR, 0.6),
-    (UP, stuck(FIRST_SECOND), FaultCode.DISENGAGE_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 1.5),
+    (UP, stuck(FIRST_SECOND), FaultCode.DISENGAGE_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 0.5),
     (SPLIT, stuck(Sleeve.SPLITTER), FaultCode.SPLITTER_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 1.6),
     ((6, 110.0, 7), stuck(Sleeve.RANGE), FaultCode.RANGE_FAILED, ShiftResult.ENDED_IN_NEUTRAL, 1.7),
     ((6, 110.0, 7), stuck(Sleeve.SPLITTER), FaultCode.SPLITTER_FAILED,
@@ -107,6 +108,56 @@ def test_an_input_that_is_lost_ends_the_shift_in_the_same_step(
         assert box.sequence.clutch is ClutchAction.CLOSE
 
 
+@pytest.mark.parametrize(("way", "state"), [(UP, State.SYNCHRONISING), (FAST_UP, State.COASTING)])
+def test_a_shift_whose_air_runs_low_in_neutral_ends_in_the_same_step(
+    way: tuple[int, float, int], state: State
+) -> None:
+    box = aimed(*way[:2])
+    box.ask(way[2])
+    box.until(state)
+    box.supply_pa = box.settings.limits.supply_low_pa - 1.0
+    box.step()
+    (record,) = box.records
+    assert (record.fault, record.result) == (FaultCode.LOW_SUPPLY, ShiftResult.ENDED_IN_NEUTRAL)
+    assert not any(box.board.command(valve).on for valve in ValveName)
+
+
+def test_no_sleeve_is_fired_while_the_other_one_moves() -> None:
+    """By half a millimetre within neutral in each frame of samples."""
+    box = aimed(*FAST_UP[:2])
+    box.ask(FAST_UP[2])
+    box.until(State.SYNCHRONISING)
+    sense, moves = box.sense, {Sleeve.CRAWL_THIRD: tuple(5e-5 * k for k in range(10))}
+    box.sense = lambda tracks: sense(tracks | moves)  # type: ignore[method-assign]
+    for _ in range(25):
+        box.step()
+        assert box.state in (State.SYNCHRONISING, State.COASTING)
+    box.sense = sense  # type: ignore[method-assign]
+    box.until(State.ENGAGING)
+
+
+def test_a_clutch_that_stops_before_its_plates_part_gives_the_shift_up() -> None:
+    """It stops as the pull is sent, and torque holds the sleeve. The pull is taken back, and none
+    follows: the shift ends after as long as all attempts may take."""
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.DISENGAGING)
+    assert box.clutch > SHEET.clutch.kiss_share
+    silent_clutch(box)
+    box.stuck.add(FIRST_SECOND)
+    begun_us = box.now_us
+    box.step()
+    while box.running():
+        assert not any(box.board.command(valve).on for valve in ValveName)
+        box.step()
+    (record,) = box.records
+    assert record.fault is FaultCode.DISENGAGE_FAILED
+    assert record.result is ShiftResult.ENDED_IN_OLD_GEAR
+    limits = box.settings.limits
+    allowed_s = 1e-3 * limits.attempts * limits.disengage_ms
+    assert (box.now_us - begun_us) * 1e-6 == pytest.approx(allowed_s, abs=0.03)
+
+
 def rolls_too_fast(box: Box, number: int) -> None:
     """The vehicle has got faster than the gear asked for allows the input shaft to turn."""
     top = SHEET.limits.input_max_rad_s
@@ -149,7 +200,7 @@ def test_a_main_shaft_that_swings_above_the_limit_for_a_moment_ends_no_raise() -
 
 
 WANTS_NEUTRAL: Final = [
-    (UP, State.SYNCHRONISING), (UP, State.COASTING), (DOWN, State.SPEED_RAISING),
+    (UP, State.SYNCHRONISING), (FAST_UP, State.COASTING), (DOWN, State.SPEED_RAISING),
     (DOWN, State.CLUTCH_PARTING), (DOWN, State.COASTING),
 ]  # fmt: skip
 
@@ -172,6 +223,7 @@ def test_a_shift_under_way_ends_at_once_when_a_gear_is_seen_in_mesh(
     """Well where it is the gear asked for, else with a fault; the clutch closes, valves are off,
     and the engine gets the gear's speed. How its teeth met nobody has seen: no phase is learned."""
     box = brought_in(way, state, gear)
+    box.stuck.add(SLEEVE_OF_MAIN[gear].sleeve)  # it stays where it was brought
     assert box.running()
     box.step()
     (record,) = box.records
@@ -199,12 +251,16 @@ def test_the_range_is_let_go_when_a_gear_is_seen_in_mesh_amid_its_change() -> No
 
 
 def test_a_shift_goes_on_while_a_sleeve_is_only_near_its_gear() -> None:
-    """It is in mesh within a millimetre of its stroke."""
+    """It is in mesh within a millimetre of its stroke. Short of that it is brought back to neutral,
+    the brake's air is let out first, and the gear asked for comes in."""
     box = brought_in(UP, State.SYNCHRONISING, MainGear.THIRD)
     box.position_m[Sleeve.CRAWL_THIRD] = STROKE_M - 1.1e-3
     box.step()
     assert box.running()
-    assert box.state is State.SYNCHRONISING
+    assert box.state is State.DISENGAGING
+    assert not box.board.command(ValveName.BRAKE).on
+    box.until(State.IN_GEAR)
+    assert (box.records[-1].result, box.view.main_gear) == (ShiftResult.ENGAGED, MainGear.SECOND)
 
 
 def test_a_box_without_air_begins_no_shift_and_says_so() -> None:
@@ -361,9 +417,11 @@ def test_a_sleeve_between_two_gears_keeps_the_clutch_open_until_it_is_known_agai
         assert box.step() is State.FAULTED
         assert box.sequence.clutch is ClutchAction.OPEN
     box.lost, box.position_m[FIRST_SECOND] = FaultCode.NONE, 0.5 * STROKE_M
+    box.stuck.add(FIRST_SECOND)
     for _ in range(20):
         assert box.step() is State.FAULTED
-    box.position_m[FIRST_SECOND] = 0.0
+        assert box.sequence.clutch is ClutchAction.OPEN
+    box.stuck.clear()
     box.until(State.NEUTRAL)
     assert box.clutch > 0.9
 

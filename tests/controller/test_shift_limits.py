@@ -4,16 +4,17 @@ more than its attempts, nothing stays on after it, and a request that is refused
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from test_shift_states import PITCH, STROKE_M, TICK_US, Box
+from shift_box import PITCH, STROKE_M, TICK_US, Box
 
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import Sleeve
@@ -51,7 +52,6 @@ def without_air(box: Box) -> None:
 UP, OTHER_SLEEVE = (7, 150.0, 9), (7, 150.0, 11)
 TIMED = [
     ("clutch_ms", State.CLUTCH_OPENING, UP, silent_clutch, FaultCode.CLUTCH_STUCK),
-    ("disengage_ms", State.DISENGAGING, UP, stuck(Sleeve.FIRST_SECOND), FaultCode.DISENGAGE_FAILED),
     ("steps_ms", State.SPLITTER_CHANGING, (7, 150.0, 8), stuck(Sleeve.SPLITTER),
      FaultCode.SPLITTER_FAILED),
     ("steps_ms", State.STEPS_CHANGING, (6, 110.0, 7), stuck(Sleeve.RANGE), FaultCode.RANGE_FAILED),
@@ -67,16 +67,53 @@ def test_a_state_lasts_no_longer_than_its_limit_and_ends_with_its_name(
     name: str, state: State, way: tuple[int, float, int], breaks: Callable[[Box], None],
     fault: FaultCode, ms: int,
 ) -> None:  # fmt: skip
-    """Tried once; a valve that pulls a gear out rests for 60 ms before that is over."""
-    chosen = limits(**{name: ms, "attempts": 1})
+    chosen = limits(**{name: ms})
     box = Box(way[0], way[1], chosen, phase_rad=0.01).ready()
     breaks(box)
     box.ask(way[2])
     while box.running():
         box.step()
     lasted_us = TICK_US * sum(seen is state for _, seen in box.seen)
-    assert 1_000 * ms <= lasted_us <= 1_000 * ms + 60_000 + 2 * TICK_US
+    assert 1_000 * ms <= lasted_us <= 1_000 * ms + 2 * TICK_US
     assert box.records[0].fault is fault
+
+
+@pytest.mark.parametrize("ms", [300, 700])
+def test_a_gear_that_stays_in_is_pulled_for_its_limit_by_pulses_that_grow(ms: int) -> None:
+    """A pull that has begun is finished, and its valve rests for 60 ms before it is over."""
+    box = Box(*UP[:2], limits(disengage_ms=ms), phase_rad=0.01).ready()
+    box.stuck.add(Sleeve.FIRST_SECOND)
+    box.ask(UP[2])
+    pulls: dict[int, int] = {}
+    while box.running():
+        box.step()
+        command = box.board.command(ValveName.MAIN_SECOND)
+        if command.on and command.time_us <= box.now_us:
+            pulls[command.time_us] = command.until_us - command.time_us
+    lengths_us = list(pulls.values())
+    assert len(lengths_us) >= box.settings.limits.attempts
+    assert lengths_us == sorted(lengths_us)
+    assert all(b - a <= 4_000 for a, b in itertools.pairwise(lengths_us))
+    assert lengths_us[-1] == lengths_us[0] + 4_000 * (len(lengths_us) - 1)
+    lasted_us = TICK_US * sum(seen is State.DISENGAGING for _, seen in box.seen)
+    assert 1_000 * ms <= lasted_us <= 1_000 * ms + lengths_us[-1] + 60_000 + 3 * TICK_US
+    assert box.records[0].fault is FaultCode.DISENGAGE_FAILED
+
+
+@pytest.mark.parametrize("blocks", [0, 1, 2])
+def test_a_pull_that_the_guard_blocks_makes_the_next_one_no_longer(blocks: int) -> None:
+    """The sleeve has not been pulled yet: a longer pulse would throw it through neutral."""
+    box = Box(*UP[:2], phase_rad=0.01).ready()
+    box.ask(UP[2])
+    box.until(State.DISENGAGING)
+    for _ in range(blocks):
+        box.sequence.blocked(10, box.snapshot())
+        while not box.board.command(ValveName.MAIN_SECOND).on:
+            box.step()
+    pull = box.board.command(ValveName.MAIN_SECOND)
+    assert pull.until_us - pull.time_us < 30_000
+    box.until(State.IN_GEAR)
+    assert box.records[0].result is ShiftResult.ENGAGED
 
 
 @pytest.mark.parametrize("ms", [300, 700])
@@ -93,15 +130,17 @@ def test_a_sleeve_that_does_not_reach_its_gear_is_taken_back_after_its_limit(ms:
 
 @pytest.mark.parametrize("attempts", [1, 2, 4])
 def test_a_sleeve_is_fired_no_more_than_its_attempts(attempts: int) -> None:
-    """Each firing is one that the valve was driven for; it never gets past its teeth."""
+    """Each firing is one that the valve was driven for; it never gets past its teeth. One that is
+    aborted is none."""
     box = Box(*OTHER_SLEEVE[:2], limits(attempts=attempts, engage_ms=150), phase_rad=0.01).ready()
     box.stuck.add(Sleeve.CRAWL_THIRD)
     box.ask(OTHER_SLEEVE[2])
     while box.running():
         box.step()
-    assert box.trajectory.count(State.ENGAGING) == attempts
-    assert box.records[0].attempts == attempts
-    assert box.records[0].result is ShiftResult.ENDED_IN_NEUTRAL
+    record = box.records[0]
+    assert box.trajectory.count(State.ENGAGING) == attempts + record.aborts
+    assert record.attempts == attempts
+    assert record.result is ShiftResult.ENDED_IN_NEUTRAL
 
 
 @settings(max_examples=40)

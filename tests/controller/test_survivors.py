@@ -39,7 +39,7 @@ def test_the_trajectory_drifts_as_the_single_prediction_does(drift_rad_s: float)
     layshaft = LayshaftState(0.0, 1.0, (MAIN.omega_rad_s + 3.0) / RATIO, 0.0, 1e-3, 0.05, 1e3)
     predictor = GearPredictor(
         GEAR, RATIO, layshaft, MAIN, BrakeInput(VALVE_US), MOTION, learned(0.2), DELAY_US, 1e-3,
-        drift_rad_s, 1.0,
+        drift_rad_s, 1.0, DELAY_US - 12_000, 0.3,
     )  # fmt: skip
     trajectory = predictor.trajectory(60_000.0, 5_000.0, 20)
     alone = [predictor.phase_and_slip(60_000.0 + 5_000.0 * k) for k in range(20)]

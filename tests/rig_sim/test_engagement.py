@@ -190,6 +190,25 @@ def test_a_locked_gear_stays_when_its_valve_goes_off() -> None:
     assert bench.core.truth.sleeve_state(Sleeve.FIRST_SECOND) is SleeveState.LOCKED
 
 
+@pytest.mark.parametrize("on_ms", [10, 14, 25])
+def test_a_gear_that_is_pulled_stays_in_until_its_sleeve_moves_and_then_comes_out(
+    on_ms: int,
+) -> None:
+    """A sleeve that moves does not turn round because its air is cut off."""
+    world = World(SHEET, thesis_rig(seed=2))
+    run_world(world, 10_000)
+    sleeve = world.engagement.sleeves[Sleeve.FIRST_SECOND]
+    assert sleeve.state is SleeveState.LOCKED
+    off_us = 10_000 + 1_000 * on_ms
+    world.command_valves(only(Valve.MAIN_SECOND), 10_000)
+    run_world(world, off_us)
+    world.command_valves(tuple(Order(ValveAction.OFF_NOW) for _ in Valve), off_us)
+    run_world(world, 70_000)
+    moves = 1e-3 * on_ms > SHEET.sleeve.valve_delay_s
+    assert sleeve.state is (SleeveState.NEUTRAL if moves else SleeveState.LOCKED)
+    assert sleeve.position_m(70_000) == (0.0 if moves else -SHEET.sleeve.stroke_m)
+
+
 def test_a_second_gear_is_a_counted_violation_and_the_first_stays() -> None:
     bench = RigBench(thesis_rig(seed=5))
     on = ValveCommand(main_third_action=ValveAction.ON_NOW)

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from meshpoint.rig_sim.parts.brake_disc import DiscBrake, brake_nm, friction_share, heating_k_s
-from meshpoint.rig_sim.parts.cylinder import Cylinder, travel
 from meshpoint.rig_sim.parts.drag import drag_nm, thickening
 from meshpoint.rig_sim.parts.engine import (
     IDLE,
@@ -251,35 +250,3 @@ def test_clutch_plates_carry_nothing_up_to_the_kiss_point_and_all_when_closed() 
 def test_road_and_air_resist_in_either_direction(speed_m_s: float) -> None:
     force_n = resistance_n(speed_m_s, ROAD)
     assert force_n == pytest.approx(math.copysign(1500.0 + 3.6 * speed_m_s**2, speed_m_s))
-
-
-@pytest.mark.parametrize("friction_n", [0.0, 80.0, 300.0])
-def test_a_stroke_of_the_cylinder_is_that_of_an_independent_integrator(friction_n: float) -> None:
-    cylinder = Cylinder(18e-4, 15e-6, 2e-8, 4.0, friction_n, 50.0, 12e-3)
-    area, dead, c, mass, _, damping, stroke = cylinder
-    per_pa = 1.2 * 287.05 * 293.15 * 1.185 * c
-
-    def slope(_: float, y: np.ndarray) -> list[float]:
-        x, v, p_a, p_b = y
-        push = (p_a - p_b) * area
-        stands = v <= 0.0 and push <= friction_n
-        accel = 0.0 if stands else (push - friction_n - damping * v) / mass
-        filled = per_pa * SUPPLY_PA * flow(SUPPLY_PA, p_a, 0.3)
-        vented = per_pa * p_b * flow(p_b, AMBIENT_PA, 0.3) if p_b > AMBIENT_PA else 0.0
-        return [
-            v,
-            accel,
-            (filled - 1.2 * p_a * area * v) / (dead + area * (stroke + x)),
-            (1.2 * p_b * area * v - vented) / (dead + area * (stroke - x)),
-        ]
-
-    def contact(_: float, y: np.ndarray) -> float:
-        return float(y[0]) - 5e-3
-
-    contact.terminal = True  # type: ignore[attr-defined]
-    begin = [0.0, 0.0, AMBIENT_PA, AMBIENT_PA]
-    expected = solve_ivp(slope, (0.0, 0.2), begin, events=contact, rtol=1e-9, max_step=2e-5)
-    found = travel(cylinder, SUPPLY_PA, AMBIENT_PA, 5e-3)
-    assert found.time_s == pytest.approx(expected.t[-1], rel=2e-3)
-    assert found.speed_m_s == pytest.approx(expected.y[1, -1], rel=5e-3)
-    assert found.force_n == pytest.approx((expected.y[2, -1] - expected.y[3, -1]) * area, rel=1e-2)

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import welch
 from truck_bench import run, switch, world
 
-from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim.parts.disturbance import SOURCES
 from meshpoint.rig_sim.settings import Profile
+from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import (
@@ -21,7 +21,8 @@ from meshpoint.rig_sim.truck.as_built import (
     nominal,
     parameters,
 )
-from meshpoint.rig_sim.truck.delays import VALVE_LIMIT_SDS, TruckDelays
+from meshpoint.rig_sim.truck.delays import VALVE_LIMIT_SDS
+from meshpoint.rig_sim.truck.sleeve_valves import SleeveValves
 from meshpoint.rig_sim.truck.world import TruckWorld
 
 SHAKEN = {
@@ -161,34 +162,43 @@ def test_the_brake_valve_scatters_from_stroke_to_stroke() -> None:
     assert max(map(abs, drawn_ms)) <= VALVE_LIMIT_SDS
 
 
-def delays(**changed: float) -> TruckDelays:
+def valves(**changed: float) -> SleeveValves:
     values = {f"sleeve.{name}": value for name, value in changed.items()}
-    return world(
-        nominal() | {"sleeve.noise_sd_ms": 2.0, "sleeve.noise_limit_ms": 8.0} | values
-    ).delays
+    truck = world(nominal() | {"sleeve.noise_sd_ms": 2.0, "sleeve.noise_limit_ms": 8.0} | values)
+    return SleeveValves(truck.delays, truck.sheet, truck.built)
 
 
-def test_a_gears_strokes_go_together_as_built() -> None:
-    law = delays(correlation=0.5)
-    drawn = np.array([law.draw_gear_s(MainGear.FIRST, 8e5) for _ in range(6000)])
+def test_a_valves_strokes_go_together_as_built() -> None:
+    law = valves(correlation=0.5)
+    mean_s = law.mean_s(Valve.MAIN_FIRST, True)
+    drawn = np.array([law.draw_s(Valve.MAIN_FIRST, True, 0.0) for _ in range(6000)])
     assert np.corrcoef(drawn[1:], drawn[:-1])[0, 1] == pytest.approx(0.5, abs=0.04)
     assert drawn.std() == pytest.approx(2e-3, rel=0.05)
-    mean_s, sd_s = law.expected_s(MainGear.FIRST, 8e5, math.inf)
+    expected_s, sd_s = law.expected_s(Valve.MAIN_FIRST, 0.0)
     assert sd_s == pytest.approx(2e-3 * math.sqrt(0.75), rel=1e-9)
-    level_s = law.mean_gear_s(MainGear.FIRST, 8e5)
-    assert mean_s - level_s == pytest.approx(0.5 * (drawn[-1] - level_s), rel=1e-6)
+    assert expected_s - mean_s == pytest.approx(0.5 * (drawn[-1] - mean_s), rel=1e-6)
+    off = np.array([law.draw_s(Valve.MAIN_FIRST, False, 0.0) for _ in range(6000)])
+    assert abs(np.corrcoef(off[1:], off[:-1])[0, 1]) < 0.05
+    assert off.std() == pytest.approx(2e-3, rel=0.05)
 
 
-def test_a_sleeve_that_has_rested_sticks() -> None:
-    law = delays(noise_sd_ms=0.0, stiction_ms=3.0, stiction_s=10.0)
-    level_s = law.mean_gear_s(MainGear.FIRST, 8e5)
-    assert law.draw_gear_s(MainGear.FIRST, 8e5, 0.0) - level_s == pytest.approx(3e-3, rel=1e-6)
-    # first and second share a sleeve
-    assert law.draw_gear_s(MainGear.SECOND, 8e5, 0.0) == pytest.approx(
-        law.mean_gear_s(MainGear.SECOND, 8e5), abs=1e-9
-    )
-    rested_s = law.draw_gear_s(MainGear.FIRST, 8e5, 10e6) - level_s
+def test_a_valve_that_has_rested_sticks() -> None:
+    law = valves(noise_sd_ms=0.0, stiction_ms=3.0, stiction_s=10.0)
+    mean_s = law.mean_s(Valve.MAIN_FIRST, True)
+    assert law.draw_s(Valve.MAIN_FIRST, True, 0.0) - mean_s == pytest.approx(3e-3, rel=1e-6)
+    off_s = law.mean_s(Valve.MAIN_FIRST, False)
+    assert law.draw_s(Valve.MAIN_FIRST, False, 0.0) == pytest.approx(off_s, abs=1e-9)
+    rested_s = law.draw_s(Valve.MAIN_FIRST, True, 10e6) - mean_s
     assert rested_s == pytest.approx(3e-3 * (1.0 - math.exp(-1.0)), rel=1e-6)
+
+
+def test_each_valve_has_delays_of_its_own_about_the_sheets() -> None:
+    law = valves(valve_on_ms=1.5, valve_off_ms=1.5)
+    off_by_ms = [
+        1e3 * (law.mean_s(valve, on) - 0.012) for valve in GEAR_OF_VALVE for on in (True, False)
+    ]
+    assert len(set(off_by_ms)) == 8
+    assert max(map(abs, off_by_ms)) <= 1.5
 
 
 def test_the_pressure_sensor_lags_is_off_and_counts_in_steps() -> None:
@@ -261,7 +271,7 @@ def test_a_clean_gearbox_is_the_one_it_was_before_there_were_profiles() -> None:
     }
     assert {name: built[name] for name in before} == before
     assert built.teeth_seed == 1564509734
-    added = [name for names in LATER[1:] for name in built.values if name.startswith(names)]
+    added = [name for names in LATER[1:3] for name in built.values if name.startswith(names)]
     assert added
     off = nominal()
     assert {name: built[name] for name in added} == {name: off[name] for name in added}

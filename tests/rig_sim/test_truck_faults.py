@@ -111,6 +111,68 @@ def test_a_stuck_valve_does_not_follow_its_coil_and_a_slow_one_later() -> None:
     assert slow.plant.brake_gauge_pa > 1e5
 
 
+def main_sleeve_m(truck: TruckWorld, until_us: int) -> float:
+    run(truck, until_us)
+    return truck.truth.axis(Sleeve.CRAWL_THIRD, until_us).position_m
+
+
+def fired(kind: RigFault, target: int, value: float, for_us: int = 0) -> TruckWorld:
+    """Third's valve is on from 110 to 150 ms; the sleeve stands in neutral before."""
+    truck = with_fault(kind, target, value, at_us=50_000, for_us=for_us)
+    switch(truck, Valve.MAIN_THIRD, True, 110_000.0)
+    return truck
+
+
+SOUND = (RigFault.NO_FAULT, 0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "target", "value"),
+    [
+        (RigFault.VALVE_SLOW, Valve.MAIN_THIRD, 10.0),
+        (RigFault.VALVE_SLOW_ON, Valve.MAIN_THIRD, 10.0),
+        (RigFault.SLEEVE_STIFF, Sleeve.CRAWL_THIRD, 200.0),
+        (RigFault.SLEEVE_HEAVY, Sleeve.CRAWL_THIRD, 500.0),
+    ],
+)
+def test_a_sleeve_with_a_slow_valve_or_stiff_or_heavy_is_behind_a_sound_one_until_it_ends(
+    kind: RigFault, target: int, value: float
+) -> None:
+    sound_m = abs(main_sleeve_m(fired(*SOUND), 145_000))
+    assert abs(main_sleeve_m(fired(kind, target, value), 145_000)) < sound_m - 0.2e-3
+    mended_m = abs(main_sleeve_m(fired(kind, target, value, for_us=40_000), 145_000))
+    assert mended_m == pytest.approx(sound_m, abs=1e-9)
+
+
+def test_a_valve_slow_to_close_opens_in_time_and_closes_late() -> None:
+    truck = fired(RigFault.VALVE_SLOW_OFF, Valve.MAIN_THIRD, 30.0)
+    assert main_sleeve_m(truck, 140_000) == main_sleeve_m(fired(*SOUND), 140_000)
+    switch(truck, Valve.MAIN_THIRD, False, 141_000.0)
+    run(truck, 165_000)
+    assert any(truck.truth.axis(Sleeve.CRAWL_THIRD, 165_000).spools)
+    run(truck, 190_000)
+    assert not any(truck.truth.axis(Sleeve.CRAWL_THIRD, 190_000).spools)
+
+
+def test_a_leaking_valve_raises_its_chamber_with_its_coil_off_until_it_ends() -> None:
+    truck = with_fault(RigFault.VALVE_LEAKS, int(Valve.MAIN_THIRD), 20.0)
+    run(truck, 90_000)
+    vented_pa = max(truck.truth.axis(Sleeve.CRAWL_THIRD, 90_000).pressures_pa)
+    run(truck, 190_000)
+    leaking = truck.truth.axis(Sleeve.CRAWL_THIRD, 190_000)
+    assert max(leaking.pressures_pa) > vented_pa + 1e4
+    assert not any(leaking.spools)
+    run(truck, 500_000)
+    after_pa = max(truck.truth.axis(Sleeve.CRAWL_THIRD, 500_000).pressures_pa)
+    assert after_pa == pytest.approx(vented_pa, abs=1e3)
+
+
+def test_only_a_main_valve_leaks() -> None:
+    truck = with_fault(RigFault.VALVE_LEAKS, int(Valve.BRAKE), 20.0)
+    run(truck, 110_000)
+    assert not truck.faults.active
+
+
 @pytest.mark.parametrize("on", [True, False])
 def test_a_valve_that_was_stuck_is_as_its_coil_is_when_the_fault_ends(on: bool) -> None:
     truck = with_fault(RigFault.VALVE_STUCK, int(Valve.BRAKE), for_us=150_000)
@@ -310,7 +372,8 @@ def test_a_copy_of_a_faulty_truck_goes_on_as_the_truck_does_and_leaves_it_alone(
 ) -> None:
     bench = RigBench(RigSettings(profile=Profile.CLEAN, seed=3))
     bench.run(50_000)
-    order = BenchFault(fault=kind, target=1, value=3.0, duration_us=60_000, sequence=1)
+    target = max(KINDS[kind].first, 1)
+    order = BenchFault(fault=kind, target=target, value=3.0, duration_us=60_000, sequence=1)
     bench.send(order)
     bench.run(80_000)
     copied = copy.deepcopy(bench)
@@ -321,4 +384,4 @@ def test_a_copy_of_a_faulty_truck_goes_on_as_the_truck_does_and_leaves_it_alone(
     assert after_us < 100_000.0
     assert copied.frames == bench.frames
     assert copied.lines == bench.lines
-    assert any(f"{kind.name} at 1 ends" in line for line in bench.lines)
+    assert any(f"{kind.name} at {target} ends" in line for line in bench.lines)

@@ -14,9 +14,8 @@ import pytest
 from truck_bench import SHEET, TRIALS, limit_sheet, limit_values
 
 from meshpoint.gearbox.gears import MAIN_GEARS
-from meshpoint.rig_sim.parts.cylinder import Cylinder, travel
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.rig_sim.truck.as_built import as_built_sheet, draw_as_built, linear, nominal
+from meshpoint.rig_sim.truck.as_built import draw_as_built, linear
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.trials import Trials
 from meshpoint.units import DEG, RPM
@@ -75,54 +74,43 @@ def test_a_fast_gear_strikes_harder_and_a_chamfer_lets_a_tooth_in_sooner() -> No
     assert waits[0] - waits[1] == pytest.approx(0.5 / 75.0 / (20.0 * RPM) * 1e6, rel=1e-6)
 
 
+def strokes_ms(seed: int, **fixed: float) -> list[float]:
+    """Strokes of all gears from neutral, from the coil to contact, drawn as ever, ms."""
+    values = {name.replace("__", "."): value for name, value in fixed.items()}
+    found = []
+    for gear in MAIN_GEARS:
+        trials = Trials(SHEET, {"oil.temperature_c": 80.0} | values, gear, seed)
+        for _ in range(5):
+            fired_us = trials.plant.time_us
+            contact_us = trials.engage(0.0, 0.0, 1e5).contact.time_us
+            found.append(1e-3 * (contact_us - fired_us))
+    return found
+
+
 def test_delays_of_all_gears_are_45_ms_within_5() -> None:
-    drawn = []
-    for seed in range(60):
-        built = draw_as_built(seed, {"oil.temperature_c": 80.0}, Profile.CLEAN)
-        sheet = as_built_sheet(SHEET, built)
-        delays = TruckDelays(np.random.default_rng(seed), sheet, built)
-        supply = sheet.air.supply_gauge_pa
-        drawn += [delays.draw_gear_s(gear, supply) for gear in MAIN_GEARS for _ in range(20)]
-    ms = 1e3 * np.array(drawn)
-    assert ms.min() > 40.0
-    assert ms.max() < 50.0
-    assert ms.mean() == pytest.approx(45.0, abs=0.3)
-    counts, _ = np.histogram(ms, bins=(40, 42, 44, 46, 48, 50))
+    ms = np.array([stroke for seed in range(20) for stroke in strokes_ms(seed)])
+    assert ms.min() > 39.5  # 2 ms of the gear's, 3 of chance, and the tank's own pressure
+    assert ms.max() < 50.5
+    assert ms.mean() == pytest.approx(45.0, abs=0.5)
+    counts, _ = np.histogram(ms, bins=(39, 42, 44, 46, 48, 51))
     assert counts[2] == max(counts)  # one hump, in the middle
-    assert counts[0] < counts[1] < counts[2] > counts[3] > counts[4]
 
 
 def test_linear_delays_are_those_of_the_thesis_preset() -> None:
     built = draw_as_built(1, linear(), Profile.CLEAN)
     delays = TruckDelays(np.random.default_rng(4), SHEET, built)
-    drawn = [delays.draw_gear_s(MAIN_GEARS[1], SHEET.air.supply_gauge_pa) for _ in range(2000)]
+    drawn = [delays.draw_gear_s(MAIN_GEARS[1]) for _ in range(2000)]
     assert np.mean(drawn) == pytest.approx(0.045, abs=2e-4)
     assert np.abs(np.array(drawn) - 0.045).max() <= 0.005
 
 
 def test_less_pressure_and_cold_oil_make_a_sleeve_slower() -> None:
-    def delay(supply_pa: float, oil_c: float) -> float:
-        values = nominal() | {"sleeve.noise_sd_ms": 0.0, "oil.temperature_c": oil_c}
-        built = draw_as_built(1, values, Profile.CLEAN)
-        delays = TruckDelays(np.random.default_rng(4), SHEET, built)
-        return delays.draw_gear_s(MAIN_GEARS[0], supply_pa)
+    def delay_ms(**changed: float) -> float:
+        still = {"sleeve__noise_sd_ms": 0.0, "air__supply_offset_bar": 0.0}
+        return strokes_ms(1, **(still | changed))[0]
 
-    valve_s = SHEET.sleeve.valve_delay_s
-    assert delay(8e5, 80.0) == pytest.approx(SHEET.sleeve.delay_s)
-    assert (delay(4e5, 80.0) - valve_s) / (delay(8e5, 80.0) - valve_s) == pytest.approx(2.0**0.54)
-    assert delay(8e5, 0.0) > delay(8e5, 80.0)
-
-
-def test_the_cylinder_s_travel_goes_with_pressure_to_the_power_of_about_minus_a_half() -> None:
-    cylinder = Cylinder(18e-4, 15e-6, 2e-8, 4.0, 80.0, 0.0, 12e-3)
-    times = {bar: travel(cylinder, bar * 1e5, 1e5, 5e-3) for bar in (6.0, 9.0, 12.0)}
-    power = np.log(times[12.0].time_s / times[6.0].time_s) / np.log(2.0)
-    assert -0.75 < power < -0.35
-    assert times[9.0].force_n > 0.0
-    assert times[9.0].samples_m[-1] == pytest.approx(5e-3)
-    stiff = travel(cylinder._replace(friction_n=300.0), 9e5, 1e5, 5e-3)
-    assert 1e-3 < stiff.time_s - times[9.0].time_s < 15e-3
-    assert travel(cylinder._replace(friction_n=5000.0), 9e5, 1e5, 5e-3).time_s == float("inf")
+    assert delay_ms(air__supply_offset_bar=-3.0) > delay_ms() + 3.0
+    assert delay_ms(oil__temperature_c=-20.0) > delay_ms() + 1.0
 
 
 def test_a_tooth_that_stops_on_the_chamfer_it_has_left_by_is_blocked() -> None:

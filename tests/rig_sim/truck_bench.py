@@ -68,7 +68,6 @@ def limit_values(**changed: float) -> dict[str, float]:
         "sleeve.force_n": 1000.0,
         "sleeve.friction_n": 0.0,
         "sleeve.mass_kg": 3.0,
-        "sleeve.damping_nsm": 0.0,
         "dog.static_factor": 1.0,
     }
     return values | {name.replace("__", "."): value for name, value in changed.items()}

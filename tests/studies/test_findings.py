@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given as drawn
 from hypothesis import strategies as st
 
-from benchmarks.studies import prediction
+from benchmarks.studies import hardware_trucks, prediction
+from benchmarks.studies.equipment import Equipment, EquippedRun
 from benchmarks.studies.excitation import BrakePoint, Figures, figures, matched
 from benchmarks.studies.hardware import Bought, certainty
 from benchmarks.studies.jobs import ShiftErrors
@@ -157,7 +158,18 @@ def test_one_statement_that_differs_makes_the_study_differ(
 def test_gearboxes_are_drawn_from_the_profile_that_the_settings_name(name: str) -> None:
     start = given(name)
     harsh = replace(start, common=replace(start.common, profile="harsh"))
-    assert {job.profile for job in load(name).jobs(harsh)} == {"harsh"}
+    jobs = [job for job in load(name).jobs(harsh) if not isinstance(job, EquippedRun)]
+    assert {job.profile for job in jobs} == {"harsh"}
+
+
+def test_trucks_with_other_equipment_are_drawn_like_today_s() -> None:
+    start = given("hardware")
+    harsh = replace(start.own, trucks=replace(start.own.trucks, profile="harsh", gearboxes=3))
+    jobs = hardware_trucks.jobs(replace(start, own=harsh))
+    assert {job.profile for job in jobs} == {"harsh"}
+    seeds = {name: [job.seed for job in jobs if job.equipment is name] for name in Equipment}
+    assert all(own == seeds[Equipment.TODAY] for own in seeds.values())
+    assert len(set(seeds[Equipment.TODAY])) == 3
 
 
 @pytest.mark.parametrize("name", ["identify", "commission"])

@@ -249,3 +249,9 @@ def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> No
     (broken,) = run(World(6, events=(), safety_ms=500)).broken
     assert broken.what == "crash"
     assert "ZeroDivisionError" in broken.text
+
+
+def test_a_sleeve_that_torque_held_half_out_of_its_gear_is_not_thrown_through_neutral() -> None:
+    """Held so, it moves as one of heavy friction would."""
+    events = Event(300, "mad_slip", 0, 0.0, 3_000), Event(400, REQUEST, 0, 10.0)
+    assert run(World(1_000_035, 8, 1400.0, {}, events, 5_000)).broken == []

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.check.finding import Verdict
@@ -33,6 +34,18 @@ def test_a_sound_box_is_called_sound_and_every_output_was_driven(sound: Rehearse
     assert sound.is_right
     verdicts = {f.subject: f.verdict for f in sound.findings if f.group == "outputs"}
     assert verdicts == {valve.name.lower(): Verdict.GOOD for valve in ValveName}
+
+
+def test_a_sleeve_that_is_brought_back_stops_before_the_other_gear(sound: Rehearsed) -> None:
+    returns = []
+    for number, trial in enumerate(sound.core.trials):
+        before = [t for t in sound.core.trials[:number] if t.valve is trial.valve]
+        known = {moved for earlier in before for moved in earlier.moved}
+        for sleeve, way in known:
+            if sleeve in MAIN_SLEEVES and trial.before_m[sleeve] * way < -SHEET.sleeve.to_contact_m:
+                returns.append(max(x_m * way for _, x_m in trial.path[sleeve]))
+    assert returns
+    assert max(returns) < SHEET.sleeve.to_contact_m
 
 
 def test_what_is_measured_at_standstill_is_near_what_the_box_is(sound: Rehearsed) -> None:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     TSC1,
@@ -37,7 +37,13 @@ from meshpoint.testbench.commission.core import CONSENT_US, CommissionCore
 from meshpoint.testbench.commission.drawn import draw_sheet, withheld
 from meshpoint.testbench.commission.edge_log import EdgeLog, State
 from meshpoint.testbench.commission.kiss import kiss_points
-from meshpoint.testbench.commission.measured import Commissioned, _meshes, _wheels, with_entries
+from meshpoint.testbench.commission.measured import (
+    Commissioned,
+    _meshes,
+    _wheels,
+    commissioned,
+    with_entries,
+)
 from meshpoint.testbench.commission.rehearsal import (
     POSITION_PAIRS,
     Hearing,
@@ -100,6 +106,21 @@ def test_the_kiss_point_is_found_by_the_input_shaft(turned) -> None:
     shares = kiss_points(core.running.closings, edges_us, sheet.wheels.input_.teeth)
     assert shares.size >= 10
     assert float(np.median(shares)) == pytest.approx(kiss, abs=0.015)
+
+
+def test_the_law_of_the_sleeves_is_told_and_goes_into_the_calibration(turned) -> None:
+    """Delays of a box around 51 ms: its data sheet, withheld, has 45."""
+    sheet, core, _ = turned
+    found = commissioned(core, withheld(TRUCK), "0", "2026-01-01T00:00:00Z")
+    delays_ms = [one.value for one in found.sleeve_law if one.name.endswith("by its law")]
+    assert delays_ms
+    assert abs(np.median(delays_ms) - 1e3 * sheet.sleeve.delay_s) < 3.0
+    assert found.calibration is not None
+    laws = found.calibration.sleeve_laws
+    assert laws.first_second is not None
+    assert laws.crawl_third is not None
+    assert laws.crawl_third.movements > 4
+    assert found.calibration.sleeves.third is not None
 
 
 def test_a_sound_box_that_was_turned_is_called_sound(turned) -> None:

@@ -67,6 +67,23 @@ def test_both_strategies_have_the_same_shifts() -> None:
     assert [g.phase_error_rms_deg for g in groups] == [None, 0.5, None, None]
 
 
+def test_shifts_whose_sleeve_was_aborted_are_counted_of_each_strategy() -> None:
+    rows = [replace(each, aborts=k) for k, each in enumerate(aimed("gap", "gap", "gap"))]
+    groups = compare({"speed_window": window("gap", "tooth", "tooth"), "target_phase": rows})
+    assert [(g.kind, g.strategy, g.aborted) for g in groups] == [
+        (AIMED_KIND, "speed_window", 0),
+        (AIMED_KIND, "target_phase", 3),
+        (LEARNING, "speed_window", 0),
+        (LEARNING, "target_phase", 0),
+    ]
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(comparison_table(groups, GEARBOX))
+    lines = [line.split() for line in captured.get().splitlines()]
+    assert lines[3][-2:] == ["ms", "abort"]
+    assert [line[-1] for line in lines[4:]] == ["0", "3", "0", "0"]
+
+
 def test_a_shift_known_to_one_run_alone_is_not_compared_as_aimed() -> None:
     late = [row("target_phase", (8, 10), "unknown", "tooth", 700.0), *aimed("gap")]
     groups = compare({"speed_window": window("gap", "gap"), "target_phase": late})

@@ -5,17 +5,21 @@ from __future__ import annotations
 import pytest
 
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import (
     TSC1,
     ClutchAction,
     ClutchCommand,
+    ControllerState,
     ShiftDecision,
     ShiftOutcome,
     ShiftPrediction,
     ShiftResult,
+    Strategy,
     ValveAction,
     ValveCommand,
 )
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.open_loop.judged import Judged, judge
 from meshpoint.testbench.open_loop.trajectory import Said, Trajectory
 from meshpoint.units import DEG
@@ -127,3 +131,58 @@ def test_what_is_decided_after_the_recorded_contact_does_not_count() -> None:
     assert own.at_ms == 110.0
     assert own.fired_ms == pytest.approx(280.0)
     assert own.predicted_phase_deg == pytest.approx(0.5)
+
+
+def aborted(made: Trajectory, halted_ms: int, again_ms: float) -> Trajectory:
+    """The same, but its sleeve is stopped at one step and fired anew two steps later."""
+    found = Trajectory()
+    for k, step in enumerate(made.steps):
+        state = ControllerState.ENGAGING
+        if halted_ms <= 10 * k < halted_ms + 20:
+            state = ControllerState.HALTED
+        elif 10 * k == halted_ms + 20:
+            step = step._replace(prediction=predicted(ShiftDecision.COMMITTED, again_ms))
+        found.take(step._replace(state=state))
+    return found
+
+
+def fired(fire_ms: float) -> Trajectory:
+    return trajectory(120.0, fire_ms=fire_ms, committed_ms=140)
+
+
+def test_a_recorded_firing_that_was_aborted_met_nothing() -> None:
+    """Fired at 150 ms and stopped at 170, fired again at 210: in contact at 255."""
+    shift = judged(aborted(fired(150.0), 170, 210.0), fired(165.0))
+    assert shift.judged_to_ms == pytest.approx(255.0)
+    assert shift.recorded is not None
+    assert shift.recorded.fired_ms == pytest.approx(210.0)
+
+
+def test_a_firing_that_met_a_tooth_is_the_recorded_one_though_a_later_one_was_aborted() -> None:
+    second = fired(150.0)
+    k = next(k for k, step in enumerate(second.steps) if step.time_us == STEP_US + 210_000)
+    second.steps[k] = second.steps[k]._replace(
+        prediction=predicted(ShiftDecision.COMMITTED, fire_ms=220.0)
+    )
+    shift = judged(aborted(second, 230, 260.0), fired(165.0))
+    assert shift.judged_to_ms == pytest.approx(195.0)
+
+
+def test_the_other_controller_s_aborts_count_on_its_own_trajectory_alone() -> None:
+    """Its frames answer to it up to 120 ms, where it brakes on, or all the time."""
+    same = aborted(fired(150.0), 170, 210.0)
+    assert shift_of(same, same) == ([170.0], 210.0)
+    braked_on = aborted(trajectory(140.0, fire_ms=150.0, committed_ms=140), 170, 210.0)
+    assert shift_of(same, braked_on) == ([], 150.0)
+
+
+def shift_of(recorded: Trajectory, replayed: Trajectory) -> tuple[list[float], float | None]:
+    """When the other controller aborts its sleeve, and the firing that it stays with."""
+    outcome = ShiftOutcome(to_gear=10, result=ShiftResult.ENGAGED, request_time_us=REQUEST_US)
+    record = ShiftRecord(8, 10, DRIVE_GEARS[10], REQUEST_US, Strategy.TARGET_PHASE)
+    found = judge(
+        outcome, STEP_US, recorded, replayed, record, ControllerSettings(), known=0, strayed=None
+    )
+    values = found.to_json()
+    assert values["aborted_ms"] == found.aborted_ms
+    return found.aborted_ms, found.fired_ms

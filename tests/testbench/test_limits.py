@@ -21,7 +21,14 @@ ROW = ShiftRow(
     contact_us=300_000, end_us=400_000, fault="none",
 )  # fmt: skip
 MISSED = replace(
-    ROW, contact="tooth", duration_ms=700.0, attempts=2, blocked=1, ratchets=3, impact_j=0.5
+    ROW,
+    contact="tooth",
+    duration_ms=700.0,
+    attempts=2,
+    aborts=2,
+    blocked=1,
+    ratchets=3,
+    impact_j=0.5,
 )
 NEUTRAL = replace(ROW, result="ended_in_neutral", contact=None, reference="unknown")
 
@@ -43,6 +50,8 @@ def judged(text: str, *rows: ShiftRow) -> tuple[float | None, bool]:
         ("duration_ms_max >= 7e2", 700.0, True),
         ("phase_error_rms_deg > 0.3", 0.3, False),
         ("attempts_max > 1", 2.0, True),
+        ("aborted > 0.3", 1 / 3, True),
+        ("aborts_max > 2", 2.0, False),
         ("blocked > 1", 1.0, False),
         ("ratchets > 2", 3.0, True),
         ("impact_j_max > 0.4", 0.5, True),

@@ -1,4 +1,4 @@
-"""A log's frames taken apart: runs in neutral, strokes, closings and switches of
+"""A log's frames taken apart: runs in neutral, contacts, closings and switches of
 valves of a gearbox of which it is known what happened when."""
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.gearbox import MainGear, Range, Sleeve, Split, load_sheet
 from meshpoint.testbench.identify.log_reader import (
-    STROKE_US,
     FreeRun,
     LogContent,
     LogReader,
-    Stroke,
 )
 from meshpoint.testbench.identify.valve_switches import BRAKE, Switch, ValveSwitches
 
@@ -68,6 +66,10 @@ class Box:
     """By the ms at which each is sent."""
     without_edges: tuple[int, int] = (0, 0)
     """From and to which ms no edges come."""
+    apart_us: int = 0
+    """From one frame of the sensors to the next."""
+    begins_us: int | None = None
+    """When an engine's frame came, before all others."""
 
     def read(self, seconds: float) -> LogContent:
         """The log of so long."""
@@ -76,6 +78,8 @@ class Box:
         reader, teeth = LogReader(SHEET), SHEET.wheels
         layshaft = turning(teeth.layshaft.teeth, LAYSHAFT_RAD_S, seconds)
         main = turning(teeth.main.teeth, MAIN_RAD_S, seconds)
+        if self.begins_us is not None:
+            reader.take(BEGIN_US + self.begins_us, engine.encode(EEC1()))
         for ms in range(10, int(seconds * 1000), 10):
             at_us = BEGIN_US + 1000 * ms
             if ms in self.commands:
@@ -97,9 +101,10 @@ class Box:
                 GearboxSensors(stamp, self.brake_pa(ms), self.supply_pa(ms), 350.0,
                                self.clutch(ms)),
             ]  # fmt: skip
-            for message in messages:
-                reader.take(at_us + 100, io.encode(message))  # type: ignore[arg-type]
-            reader.take(at_us + 200, engine.encode(EEC1(engine_speed_rad_s=self.engine_rad_s(ms))))
+            for k, message in enumerate(messages):
+                reader.take(at_us + 100 + k * self.apart_us, io.encode(message))  # type: ignore[arg-type]
+            after_us = at_us + 200 + len(messages) * self.apart_us
+            reader.take(after_us, engine.encode(EEC1(engine_speed_rad_s=self.engine_rad_s(ms))))
         return reader.finish()
 
 
@@ -202,42 +207,55 @@ def second_on(ms: int, action: ValveAction = ValveAction.ON_AT) -> dict[int, Val
     return {ms - 10: on, ms + 290: off}
 
 
-def test_a_stroke_is_reported_from_its_valve_s_activation_on_by_its_way_from_rest() -> None:
-    """Each sample once, a millisecond apart; the sensor's offset is what it showed in neutral."""
-    box = Box(pushed(520, 4e-4), commands=second_on(500), supply_pa=lambda ms: 9e5 + 10.0 * ms)
-    content = box.read(1.0)
-    (stroke,) = content.strokes
-    assert stroke.gear is MainGear.SECOND
-    assert stroke.fired_us == BEGIN_US + 500_300
-    assert stroke.rested_s is None
-    assert stroke.supply_pa == pytest.approx(9e5 + 10.0 * 510, abs=210.0)
-    ms = (stroke.time_us - BEGIN_US) / 1000.0
-    assert (np.diff(ms) == 1.0).all()
-    assert ms[0] <= 501
-    assert ms[-1] * 1000 >= 500_300 + STROKE_US
-    assert ms[-1] * 1000 < 500_300 + STROKE_US + STEP_US
-    way = [pushed(520)(int(each)) for each in ms]
-    assert stroke.way_m == pytest.approx(way, abs=2e-5)
-    assert content.messages["ValveCommand"] == 2
-    assert content.inexact == 0
-
-
-def test_strokes_of_one_sleeve_are_reported_with_how_long_it_has_rested() -> None:
-    """The other way, too: that is first gear."""
+def test_a_contact_is_reported_of_the_gear_whose_valve_was_switched_on() -> None:
+    """Of a sleeve at rest that comes to the faces 25.8 ms after it has begun to move; the other way
+    is first gear."""
     first = ValveCommand(main_first_action=ValveAction.ON_AT,
                          main_first_time_us=BEGIN_US + 1_300_300)  # fmt: skip
     box = Box(lambda ms: pushed(520)(ms) + pushed(1_320, 0.0, -1)(ms),
               commands={**second_on(500), 1_290: first})  # fmt: skip
-    strokes: list[Stroke] = list(box.read(1.7).strokes)
-    assert [stroke.gear for stroke in strokes] == [MainGear.SECOND, MainGear.FIRST]
-    assert strokes[1].rested_s == pytest.approx(0.8)
-    assert strokes[1].way_m.max() == pytest.approx(STROKE_M, abs=2e-5)
+    content = box.read(1.7)
+    ms = [1e-3 * (one.measured_us - BEGIN_US) for _, one in content.contacts]
+    assert [gear for gear, _ in content.contacts] == [MainGear.SECOND, MainGear.FIRST]
+    assert [one.fired_us - BEGIN_US for _, one in content.contacts] == [500_300, 1_300_300]
+    meets_ms = 40.0 * math.sqrt(SHEET.sleeve.to_contact_m / STROKE_M)
+    assert ms == pytest.approx([520.0 + meets_ms, 1_320.0 + meets_ms], abs=1.0)
+    assert content.moved == {Sleeve.FIRST_SECOND}
+    assert content.inexact == 0
 
 
-def test_a_stroke_whose_valve_was_switched_at_once_is_counted_alone() -> None:
+def test_a_firing_at_no_commanded_time_is_counted() -> None:
     content = Box(pushed(520), commands=second_on(500, ValveAction.ON_NOW)).read(1.0)
-    assert not list(content.strokes)
     assert content.inexact == 1
+    assert Box().read(0.5).moved == set()
+
+
+@pytest.mark.parametrize("begins_us", [None, 0, 300, 5_000, 9_900])
+def test_what_is_switched_at_once_is_so_when_its_command_came_wherever_the_log_begins(
+    begins_us: int | None,
+) -> None:
+    """Within the way of the soonest frame, 0.1 ms. A log's times were up to 2.5 ms apart by where
+    between two reads it began."""
+    on = second_on(500, ValveAction.ON_NOW)
+    content = Box(pushed(520), commands=on, apart_us=400, begins_us=begins_us).read(1.0)
+    ((_, contact),) = content.contacts
+    assert contact.fired_us == pytest.approx(BEGIN_US + 490_050, abs=101)
+
+
+def test_a_pulse_within_a_step_moves_its_sleeve_as_any_other() -> None:
+    """First gear's valve is on for 9.6 ms between two reads: the stroke into second, 12 ms later,
+    is expected to come the later for it. Such a pulse was not known of."""
+    on = second_on(500)
+    first_on = ValveCommand(main_first_action=ValveAction.ON_AT,
+                            main_first_time_us=BEGIN_US + 488_200)  # fmt: skip
+    first_off = on[490]._replace(main_first_action=ValveAction.OFF_AT,
+                                 main_first_time_us=BEGIN_US + 497_800)  # fmt: skip
+    expected_us = []
+    for begun_ms, commands in ((520, on), (530, on | {480: first_on, 490: first_off})):
+        box = Box(pushed(begun_ms), commands=commands, begins_us=8_000)
+        ((_, contact),) = box.read(1.0).contacts
+        expected_us.append(contact.expected_us)
+    assert expected_us[1] > expected_us[0] + 1_000.0
 
 
 def closing_clutch(begun_ms: int, ms_taken: int) -> Trajectory:

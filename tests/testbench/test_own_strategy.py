@@ -17,7 +17,7 @@ from meshpoint.testbench.cli import main
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CLASS = "NextGap"
-RUN = ("simulate", "--preset", "thesis", "--seed", "3", "--shifts", "3")
+RUN = ("simulate", "--preset", "thesis", "--seed", "2", "--shifts", "3")
 
 
 def run(*arguments: object) -> int:

@@ -29,7 +29,7 @@ def replayed(
     folder = tmp_path_factory.mktemp("replay")
     log, made, page = folder / "x.log", folder / "sim.json", folder / "r.html"
     run = ["simulate", "--preset", "thesis", "--strategy", RECORDED, "--shifts", str(SHIFTS)]
-    run += ["--seed", "3"]  # whose flanks its first two shifts tell
+    run += ["--seed", "2"]  # whose flanks its first two shifts tell
     assert main([*run, "--log", str(log), "--json", str(made)]) == 0
     reported = folder / "replay.json"
     asked = ["replay", str(log), "--strategy", OTHER, "--json", str(reported)]

@@ -16,6 +16,15 @@ from page_data import page_data
 from scipy.stats import binomtest
 
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import (
+    ControllerState,
+    ControllerStatus,
+    PhaseReference,
+    ShiftOutcome,
+    ShiftResult,
+    SleevesMain,
+    Strategy,
+)
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.cli import main
@@ -38,11 +47,11 @@ SIZE_LIMIT = 8_000_000
 @pytest.fixture(scope="module")
 def simulated() -> tuple[Report, list[ShiftRow]]:
     """Four shifts, of which the last two could aim."""
-    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=4)
+    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=1, shifts=4)
     collector = ReportCollector(SHEET)
     result = simulate(setup, lambda _time_us, frame: collector.receive(frame))
     run = ReportRun("target_phase", collector.finish(), [f"from {HOSTILE}"])
-    provenance = report_provenance(SHEET, seed=3, preset="thesis", log=HOSTILE)
+    provenance = report_provenance(SHEET, seed=1, preset="thesis", log=HOSTILE)
     return Report(f"report of {HOSTILE}", HOSTILE, SHEET, [run], provenance), result.rows
 
 
@@ -125,6 +134,48 @@ def test_every_panel_has_its_quantity_and_unit_and_shares_the_time_axis(
     assert "ms" in data["common"]["xaxis"]["title"]["text"]
     for figure in data["shifts"].values():
         assert all("xaxis" not in t for t in figure["data"])
+
+
+def aborted_shift(*aborted_ms: int) -> Report:
+    """A report of one shift from 8 to 10, 400 ms long, its sleeve stopped at these times after
+    half a millimetre more each time."""
+    collector, halted_ms = ReportCollector(SHEET), {at + k for at in aborted_ms for k in (0, 10)}
+    for at_ms in range(10, 560, 10):
+        stood = sum(100 + each <= at_ms for each in aborted_ms)
+        is_halted = at_ms - 100 in halted_ms
+        state = ControllerState.HALTED if is_halted else ControllerState.ENGAGING
+        position_m = (0.5e-3 * stood,) * 10
+        collector.take(SleevesMain(sample_time_us=1000 * at_ms, sleeve_first_second_m=position_m))
+        collector.take(ControllerStatus(state=state))
+        if at_ms == 500:
+            outcome = ShiftOutcome(
+                8, 10, Strategy.TARGET_PHASE, PhaseReference.KNOWN, ShiftResult.ENGAGED, 1,
+                request_time_us=100_000, end_time_us=500_000, aborts=len(aborted_ms),
+                halt_position_m=position_m[0],
+            )  # fmt: skip
+            collector.take(outcome)
+    return Report("aborted", "", SHEET, [ReportRun("target_phase", collector.finish())], {})
+
+
+def test_each_abort_is_marked_where_the_sleeve_was_then() -> None:
+    (figure,) = report_data(aborted_shift(200, 300))["shifts"].values()
+    assert trace(figure, "y5", "aborted") == ([200.0, 300.0], [0.5, 1.0])
+    names = [(note["text"], note["x"]) for note in figure["annotations"]]
+    assert [x for text, x in names if text == "aborted"] == [200.0, 300.0]
+    (figure,) = report_data(aborted_shift())["shifts"].values()
+    assert "aborted" not in {drawn["name"] for drawn in figure["data"]}
+
+
+def test_the_account_of_a_shift_says_how_often_it_was_aborted_and_where_it_stood() -> None:
+    def account(report: Report) -> list[list[str]]:
+        return list(report_data(report)["shifts"]["shift-1-1"]["account"])
+
+    assert account(aborted_shift(200))[-1] == ["aborted", "–", "once, stood at 0.5 mm", "–"]
+    assert account(aborted_shift(200, 300))[-1][2] == "twice, last stood at 1.0 mm"
+    assert account(aborted_shift())[-1][0] != "aborted"
+    drawn = page(aborted_shift(200, 300), report_data(aborted_shift(200, 300)), PLOTLY_STUB)
+    assert '<td class="number" data-name="aborts">2</td>' in drawn
+    assert '<td class="number" data-name="with an abort">1</td>' in drawn
 
 
 def test_plotly_knows_every_attribute_of_every_figure(data: dict[str, Any]) -> None:

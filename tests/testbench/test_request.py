@@ -48,9 +48,15 @@ class Bench(can.BusABC):
     """A bus on which `answers` reply to one request each, the last one to all further ones, and
     the controller reports its status every 10 ms of its time, `speed` times as fast as the wall."""
 
-    def __init__(self, *answers: list[Message], speed: float = 1.0, speaks: bool = True) -> None:
+    def __init__(
+        self,
+        *answers: list[Message],
+        speed: float = 1.0,
+        speaks: bool = True,
+        stands: ControllerState = ControllerState.IN_GEAR,
+    ) -> None:
         self.now_s = 500.0
-        self.speed, self.speaks = speed, speaks
+        self.speed, self.speaks, self.stands = speed, speaks, stands
         self.asked = 0
         self._answers = answers
         self._queue: list[Frame] = []
@@ -76,9 +82,7 @@ class Bench(can.BusABC):
                 return None
             step_us = round(self.now_s * self.speed * 1e6)
             frame = self._controller.encode(
-                ControllerStatus(
-                    step_time_us=step_us, state=ControllerState.IN_GEAR, current_gear=8
-                )
+                ControllerStatus(step_time_us=step_us, state=self.stands, current_gear=8)
             )
         return can.Message(arbitration_id=frame.can_id, data=frame.data, is_fd=frame.is_fd)
 
@@ -101,6 +105,20 @@ def test_a_gear_that_engages_is_reported_with_its_time(monkeypatch, capsys) -> N
     code, printed, said = ask(Bench([ENGAGED]), monkeypatch, capsys)
     assert (code, said) == (Exit.DONE, "")
     assert printed.startswith("8 -> 10: engaged after 440 ms")
+
+
+def test_a_gear_whose_sleeve_was_aborted_is_reported_with_that(monkeypatch, capsys) -> None:
+    engaged = ENGAGED._replace(attempts=1, aborts=2, halt_position_m=3.4e-3)
+    _, printed, _ = ask(Bench([engaged]), monkeypatch, capsys)
+    assert printed.strip().endswith("1 fired, aborted twice, last stood at 3.4 mm)")
+
+
+def test_a_controller_that_waits_before_the_teeth_is_said_where_the_time_is_up(
+    monkeypatch, capsys
+) -> None:
+    bench = Bench([LATE_REFUSAL], stands=ControllerState.HALTED)
+    _, _, said = ask(bench, monkeypatch, capsys, timeout=3.0)
+    assert said.splitlines()[-1].endswith("the controller stands waiting before the teeth")
 
 
 @pytest.mark.parametrize("fault", sorted(STALE_FAULTS))

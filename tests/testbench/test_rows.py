@@ -116,6 +116,22 @@ def test_a_shift_without_contact_has_no_phase_error() -> None:
     assert row.result == "ended_in_neutral"
 
 
+def test_a_row_says_how_often_its_sleeve_was_aborted_and_where_it_then_stood() -> None:
+    (row,) = rows_of(contact(0.3), outcome(aborts=2, halt_position_m=3.4e-3))
+    assert (row.aborts, row.halt_mm) == (2, pytest.approx(3.4))
+    (row,) = rows_of(contact(0.3), outcome())
+    assert (row.aborts, row.halt_mm) == (0, None)
+
+
+def test_the_table_of_rows_and_the_summary_count_aborts() -> None:
+    line = shown(aborts=7).splitlines()[-1].split()
+    assert line[-2:] == ["1/7", "engaged"]
+    assert shown().splitlines()[-1].split()[-2:] == ["1", "engaged"]
+    rows = rows_of(outcome(aborts=3), outcome(), outcome(aborts=1))
+    summary = summarise("target_phase", rows)
+    assert (summary.aborted, summary.aborts) == (2, 4)
+
+
 def test_a_contact_belongs_to_one_shift() -> None:
     first, second = rows_of(contact(0.3), outcome(), outcome())
     assert first.contact == "gap"

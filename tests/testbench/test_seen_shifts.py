@@ -118,3 +118,34 @@ def test_tries_at_the_gear_itself_are_counted_and_the_first_says_what_was_met() 
     sleeves.rest()
     (shift,) = seen(sleeves)
     assert (shift.contact, shift.attempts) == ("tooth", 3)
+
+
+@pytest.mark.parametrize("short_mm", [0.35, 0.5, 1.0])
+@pytest.mark.parametrize("stands_ms", [0, 40])
+def test_a_sleeve_that_turns_back_short_of_the_teeth_has_met_nothing(
+    short_mm: float, stands_ms: int
+) -> None:
+    """Stopped on its way, and taken back to neutral before it is fired again."""
+    sleeves = in_gear(MainGear.FIRST)
+    sleeves.move(MainGear.SECOND, FACE_MM - short_mm)
+    sleeves.rest(stands_ms)
+    sleeves.move(MainGear.SECOND, 0.0)
+    sleeves.rest()
+    sleeves.move(MainGear.SECOND, IN_MM)
+    sleeves.rest()
+    (shift,) = seen(sleeves)
+    assert (shift.contact, shift.attempts) == ("gap", 1)
+
+
+@pytest.mark.parametrize("short_mm", [0.35, 0.5, 1.0])
+def test_of_a_sleeve_fired_on_from_where_it_was_stopped_no_contact_is_reported(
+    short_mm: float,
+) -> None:
+    """It starts from rest: that its last part took long does not say that it met a tooth."""
+    sleeves = in_gear(MainGear.FIRST)
+    sleeves.move(MainGear.SECOND, FACE_MM - short_mm)
+    sleeves.rest(40)
+    sleeves.move(MainGear.SECOND, IN_MM)
+    sleeves.rest()
+    (shift,) = seen(sleeves)
+    assert (shift.contact, shift.attempts) == (None, 0)

@@ -23,6 +23,7 @@ from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
+from meshpoint.testbench.results.rows import is_aimed
 from meshpoint.units import DEG
 
 SHEET = load_sheet("thesis")
@@ -78,7 +79,7 @@ def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path:
 
     rows = simulate(setup, hear).rows
     run = ReportRun("target_phase", collector.finish())
-    page, row = tmp_path / "report.html", rows[-1]
+    page, row = tmp_path / "report.html", next(filter(is_aimed, rows))  # the page opens with it
     write_report(page, Report("r", "s", SHEET, [run], report_provenance(SHEET)))
     gear = DRIVE_GEARS[row.to].main.name.lower()
     expected = {

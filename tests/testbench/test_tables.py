@@ -115,6 +115,8 @@ def campaign_values() -> dict[str, Any]:
         "over_bound": 12.345,
         "after_ramp_ms": {"mean": 12345.6, "p50": 12345.6, "p99": 12345.6},
         "thrown_back": 2_000_000,
+        "aborted": {"rate": 0.1234, "ci95": [0.1061, 0.1345]},
+        "aborts_mean": 12.39,
         "retries": 2_000_000,
         "blocked": 2_000_000,
         "given_up": 2_000_000,

@@ -110,6 +110,55 @@ def test_every_state_result_and_event_has_its_words() -> None:
     assert set(TRUTHS) == set(EngagementEvent)
 
 
+@pytest.mark.parametrize(
+    ("aborts", "words"),
+    [
+        (0, "1 firing, phase"),
+        (1, "1 firing, aborted once, stood at 3.4 mm, phase"),
+        (2, "1 firing, aborted twice, last stood at 3.4 mm, phase"),
+        (3, "1 firing, aborted 3 times, last stood at 3.4 mm, phase"),
+    ],
+)
+def test_the_end_of_a_shift_says_how_often_its_sleeve_was_aborted(aborts: int, words: str) -> None:
+    outcome = ShiftOutcome(to_gear=3, result=ShiftResult.ENGAGED, attempts=1)
+    if aborts:
+        outcome = outcome._replace(aborts=aborts, halt_position_m=-3.4e-3)
+    (line,) = Story().receive(0.0, Transmitter(Node.TRANSMISSION_CONTROL).encode(outcome))
+    assert words in line.words
+
+
+def states_told(*states: ControllerState) -> list[str]:
+    """What a story says of a controller that goes through these states."""
+    story, controller = Story(), Transmitter(Node.TRANSMISSION_CONTROL)
+    lines: list[Line] = []
+    for k, state in enumerate(states):
+        status = ControllerStatus(step_number=k, step_time_us=10_000 * k, state=state)
+        lines += story.receive(k / 100, controller.encode(status))
+    return [line.words for line in lines]
+
+
+def test_a_sleeve_that_is_stopped_and_fired_again_is_told() -> None:
+    told = states_told(
+        ControllerState.ENGAGING, ControllerState.HALTED, ControllerState.ENGAGING
+    )  # fmt: skip
+    assert told[1:] == [
+        "the sleeve would meet a tooth: stops it before the teeth",
+        "the sleeve is on its way",
+    ]
+
+
+@pytest.mark.parametrize("state", [ControllerState.STEPS_CHANGING, ControllerState.COASTING])
+def test_a_sleeve_that_leaves_neutral_is_told_apart_from_the_old_gear(
+    state: ControllerState,
+) -> None:
+    assert states_told(state, ControllerState.DISENGAGING)[1] == (
+        "a sleeve has left neutral: brings it back"
+    )
+    assert states_told(ControllerState.CLUTCH_OPENING, ControllerState.DISENGAGING)[1] == (
+        "pulls the old gear's sleeve out"
+    )
+
+
 def test_a_refusal_names_its_fault() -> None:
     controller = Transmitter(Node.TRANSMISSION_CONTROL)
     outcome = ShiftOutcome(to_gear=3, result=ShiftResult.REFUSED, fault=FaultCode.LOW_SUPPLY)
@@ -205,6 +254,13 @@ def test_the_air_line_shows_what_the_sensors_say(clutch: float, brake_pa: float)
     text = "\n".join(picture(panel))
     assert f"brake {brake_pa / 1e5:4.1f} bar(a)  supply  9.0 bar(a)  oil" in text
     assert f"clutch {100 * clutch:3.0f} % closed" in text
+
+
+def test_a_sleeve_that_stands_before_the_teeth_is_in_the_picture_s_gear_line() -> None:
+    panel = Panel(load_sheet(SHEET), "log")
+    status = ControllerStatus(state=ControllerState.HALTED, current_gear=0, target_gear=10)
+    panel.receive(0.0, Transmitter(Node.TRANSMISSION_CONTROL).encode(status))
+    assert "gear   N -> 10  waiting before the teeth" in "\n".join(picture(panel))
 
 
 def test_a_silent_bus_lets_messages_grow_old_and_red() -> None:

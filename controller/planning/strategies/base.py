@@ -55,8 +55,9 @@ class EngagementStrategy(Protocol):
     def is_to_go_back(
         self, predictor: GearPredictor, now_us: int, contact_us: int, earliest_us: int
     ) -> bool:
-        """Whether a sleeve that was fired to meet its gear at `contact_us`, and has not moved yet,
-        should be recalled, to be fired anew at `earliest_us` or later.
+        """Whether a sleeve that was fired to meet its gear at `contact_us` should be stopped before
+        it, to be fired anew at `earliest_us` or later: the predictor's `delay_us` is that of a
+        sleeve fired from where it would stand.
 
         Asked only of a strategy that aims, and while the phase is known."""
 
@@ -83,15 +84,13 @@ def settle_time_us(sheet: GearboxSheet, time_constants: float) -> float:
     return SECOND_US * (brake.valve_delay_s + time_constants * brake.time_constant_s)
 
 
-def known_until_recall_us(sheet: GearboxSheet, timing: Timing) -> int:
+def known_until_stop_us(predictor: GearPredictor, timing: Timing) -> int:
     """How much later than the step that plans the earliest firing the last step comes in which that
-    sleeve can be recalled: the command's lead and the valve's delay, in whole ticks."""
-    moves_us = timing.lead_ms * MS_IN_US + round(sheet.sleeve.valve_delay_s * SECOND_US)
-    return max(0, moves_us - BUS_US) // timing.tick_us * timing.tick_us
+    sleeve can be stopped: the command's lead and what it flies till then, in whole ticks."""
+    flies_us = timing.lead_ms * MS_IN_US + predictor.delay_us - predictor.stop_us
+    return max(0, flies_us - BUS_US) // timing.tick_us * timing.tick_us
 
 
-def last_measurement(sheet: GearboxSheet, timing: Timing, delay_us: int) -> LastMeasurement:
-    """When a sleeve that takes `delay_us` to its gear can last be recalled: until its valve's
-    delay is over it has not moved."""
-    moves_us = round(sheet.sleeve.valve_delay_s * SECOND_US)
-    return LastMeasurement(max(0, delay_us - moves_us) + BUS_US + LATE_US, timing.tick_us)
+def last_measurement(predictor: GearPredictor, timing: Timing) -> LastMeasurement:
+    """When a sleeve on its way can last be stopped short of the teeth."""
+    return LastMeasurement(predictor.stop_us + BUS_US + LATE_US, timing.tick_us)

@@ -20,7 +20,7 @@ from meshpoint.controller.planning.plan_kernels import (
 )
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
-    known_until_recall_us,
+    known_until_stop_us,
     last_measurement,
     release_for_slip,
     settle_time_us,
@@ -73,6 +73,8 @@ PROBE_US: Final = 500
 CLEAR_US: Final = 10_000
 """The earliest firing is so much less before the release than the sleeve takes to its gear: it
 meets the gear when the brake has been released."""
+SLOWEST_M_S: Final = 0.05
+"""A sleeve that meets a gear at all does so no slower."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -88,12 +90,10 @@ class TargetPhase:
         self._dog = sheet.dog
         self._window, self._prices = window, settings.prices
         self._brake_nm_per_pa = sheet.brake_nm_per_pa
-        self._overlap_s = sheet.dog.most_overlap_m / sheet.sleeve.contact_speed_m_s
         self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
-        self._sheet, self._timing = sheet, settings.timing
-        self._known_us = known_until_recall_us(sheet, settings.timing)
+        self._timing = settings.timing
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -192,7 +192,7 @@ class TargetPhase:
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
-        measurement = last_measurement(self._sheet, self._timing, predictor.delay_us)
+        measurement = last_measurement(predictor, self._timing)
         first_us, step_us, phase, _ = trajectory
         settled = predictor.known_variances(first_us, step_us, phase.size, now_us, measurement)
         variances = settled + self._reference_variance
@@ -211,10 +211,11 @@ class TargetPhase:
         self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int
     ) -> tuple[float, Vector]:
         """Standard deviation of the phase at the first contact as it is predicted now, and the
-        variances that are left when the sleeve for each contact can last be recalled."""
+        variances that are left when the sleeve for each contact can last be stopped."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        before = round((max(0.0, first_us - firing_us) + self._known_us) / step_us)
+        known_us = known_until_stop_us(predictor, self._timing)
+        before = round((max(0.0, first_us - firing_us) + known_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
         now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance
@@ -228,7 +229,7 @@ class TargetPhase:
             pitch_rad=dog.pitch_rad,
             half_gap_rad=dog.backlash_rad / 2.0,
             target_rad=self._target_rad,
-            overlap_s=self._overlap_s,
+            overlap_s=dog.most_overlap_m / max(predictor.contact_speed_m_s, SLOWEST_M_S),
             delay_sd_s=predictor.delay_sd_s,
             miss_s=prices.miss_s,
             block_s=prices.block_s,

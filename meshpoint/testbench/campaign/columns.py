@@ -158,7 +158,7 @@ class Shifts:
         """As records, each made when it is asked for."""
         for part in self.parts(PENDING):
             for values in zip(*(part.values(name) for name in FIELDS), strict=True):
-                yield JudgedShift(*values)
+                yield JudgedShift(**dict(zip(FIELDS, values, strict=True)))
 
     def column(self, name: str) -> Column:
         """Values of one column: numbers, NaN where there is none; words as their `codes`."""

@@ -11,24 +11,24 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.shift_figures import ShiftFigures
 from meshpoint.testbench.results.shift_parts import ShiftParts
 from meshpoint.units import MM, RPM
 
-NO_OUTCOME = "no_outcome"
 GAP: Final = "gap"
 """Of a first contact, in records."""
+SHARED: Final = tuple(field.name for field in fields(ShiftFigures))
 
 
-@dataclass(frozen=True, slots=True)
-class JudgedShift:
-    """Phase error, slip and impacts are the rig's truth. None: it did not come to that."""
+@dataclass(frozen=True, kw_only=True)
+class JudgedShift(ShiftFigures):
+    """A shift with what was drawn for it. None: it did not come to that, or was not drawn."""
 
     sweep: str
     sweep_value: float
     seed: int
     shift: int
     """Number among the judged shifts of its run."""
-    strategy: str
     from_gear: int
     to_gear: int
     main_gear: str
@@ -37,22 +37,9 @@ class JudgedShift:
     layshaft_rpm: float
     """In the old gear."""
     reference_known: bool
-    reference_source: str
-    result: str
-    fault: str
-    contact: str | None
+    """Whether the gear's phase reference was known when the sleeve was fired."""
     duration_ms: float | None
-    slip_rpm: float | None
-    phase_error_deg: float | None
-    pitch_deg: float
-    predicted_phase_deg: float | None
-    predicted_phase_sd_deg: float | None
-    delay_ms: float | None
-    attempts: int
-    impact_j: float
-    face_ms: float
-    ratchets: int
-    blocked: int
+    """From request to outcome."""
     backlash_percent: float
     gap_share: float
     """Of all phases at contact, the share at which it would be in a gap (`gap_share()`)."""
@@ -61,8 +48,6 @@ class JudgedShift:
     slope_percent: float | None
     mass_kg: float | None
     supply_offset_bar: float | None
-    bound_ms: float | None
-    """The kinematic bound of this shift; None where there is none."""
     ramp_ms: float | None
     parting_ms: float | None
     pull_out_ms: float | None
@@ -124,33 +109,20 @@ class Conditions:
         """The record of a shift; `row` None: there was no outcome. `key`: sweep to strategy."""
         gear = DRIVE_GEARS[planned.to].main
         old = self._sheet.main_mesh(DRIVE_GEARS[planned.from_].main).ratio
+        none = ShiftFigures(strategy="", pitch_deg=math.degrees(self._sheet.dog.pitch_rad))
+        shared = {name: getattr(row or none, name) for name in SHARED}
+        bound_ms = kinematic_bound_ms(
+            self._sheet, self._as_built, (planned.from_, planned.to), planned.main_rad_s
+        )
         return JudgedShift(
-            **key,
+            **shared | key | {"bound_ms": bound_ms},
             from_gear=planned.from_,
             to_gear=planned.to,
             main_gear=gear.name.lower(),
             ratio=1.0 / self._sheet.main_mesh(gear).ratio,
             layshaft_rpm=planned.main_rad_s / old / RPM,
             reference_known=row is not None and row.reference == "known",
-            reference_source="none" if row is None else row.reference_source,
-            result=NO_OUTCOME if row is None else row.result,
-            fault="none" if row is None else row.fault,
-            contact=None if row is None else row.contact,
             duration_ms=None if row is None else row.duration_ms,
-            slip_rpm=None if row is None else row.slip_rpm,
-            phase_error_deg=None if row is None else row.phase_error_deg,
-            pitch_deg=math.degrees(self._sheet.dog.pitch_rad),
-            predicted_phase_deg=None if row is None else row.predicted_phase_deg,
-            predicted_phase_sd_deg=None if row is None else row.predicted_phase_sd_deg,
-            delay_ms=None if row is None else row.delay_ms,
-            attempts=0 if row is None else row.attempts,
-            impact_j=0.0 if row is None else row.impact_j,
-            face_ms=0.0 if row is None else row.face_ms,
-            ratchets=0 if row is None else row.ratchets,
-            blocked=0 if row is None else row.blocked,
-            bound_ms=kinematic_bound_ms(
-                self._sheet, self._as_built, (planned.from_, planned.to), planned.main_rad_s
-            ),
             **vars(ShiftParts() if row is None else row.phases),
             **self.columns,
         )

@@ -11,6 +11,7 @@ from meshpoint.testbench.campaign.result import Collected
 from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.campaign.summary import curve_point
 from meshpoint.testbench.campaign.sweep import BACKLASH, BASE_POINT, DELAY_SD
+from meshpoint.testbench.campaign.table import CELLS
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
@@ -99,26 +100,13 @@ def _size(runs: int) -> list[str]:
 
 
 def _strategies(values: dict[str, Any]) -> str:
-    columns = (
-        "shifts", "first contact in gap", "95 % interval", "mean ms", "p50", "p99",
-        "after the ramp: mean", "p99", "bound ms", "after the ramp / bound", "mean impact, J",
-        "retries", "blocked", "thrown back", "given up", "phase sd, deg", "reference known",
-    )  # fmt: skip
-    head: list[Cell] = [("strategy", ""), *((name, NUMBER_CLASS) for name in columns)]
-    rows = []
-    for name, figure in values["strategies"].items():
-        gap, duration = figure["first_contact_gap"], figure["duration_ms"]
-        cells = [
-            str(figure["shifts"]), _percent(gap["rate"]),
-            f"{_percent(gap['ci95'][0])} to {_percent(gap['ci95'][1])}",
-            _text(duration["mean"], 0), _text(duration["p50"], 0), _text(duration["p99"], 0),
-            _text(figure["after_ramp_ms"]["mean"], 0), _text(figure["after_ramp_ms"]["p99"], 0),
-            _text(figure["bound_ms"], 0), _text(figure["over_bound"], 2),
-            _text(figure["impact_j"]["mean"], 2), str(figure["retries"]), str(figure["blocked"]),
-            str(figure["thrown_back"]), str(figure["given_up"]),
-            _text(figure["phase_error_sd_deg"], 2), _percent(figure["reference_known"]),
-        ]  # fmt: skip
-        rows.append(_line(name, cells))
+    """A column a strategy, a line a figure: there are more figures than a page is wide."""
+    strategies = values["strategies"]
+    head: list[Cell] = [("", ""), *((name, NUMBER_CLASS) for name in strategies)]
+    rows = [
+        _line(title, [cell(figures) for figures in strategies.values()])
+        for title, cell in CELLS.items()
+    ]
     return table(head, rows)
 
 
@@ -152,7 +140,3 @@ def _line(name: str, cells: list[str]) -> str:
 
 def _text(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _percent(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.1f} %"

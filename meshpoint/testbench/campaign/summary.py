@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshpoint.controller.records import Integers, Vector
 from meshpoint.testbench.campaign.columns import Shifts
@@ -45,10 +46,14 @@ class Shots:
         """1 where the first contact was in a gap, and the runs."""
         return self.is_gap.astype(np.float64), self.cluster
 
+    def rate(self, which: NDArray[np.bool_]) -> Rate:
+        """Share of the shifts that are so, with its interval; NaN where there was no shift."""
+        share = float(which.mean()) if which.size else math.nan
+        return Rate(share, *rate_interval(which, self.cluster))
+
     def gap_rate(self) -> Rate:
-        """Share of first contacts in a gap, with its interval; NaN where there was no shift."""
-        rate = float(self.is_gap.mean()) if self.is_gap.size else math.nan
-        return Rate(rate, *rate_interval(self.is_gap, self.cluster))
+        """Share of first contacts in a gap."""
+        return self.rate(self.is_gap)
 
     def impacts(self) -> tuple[Vector, Integers]:
         """Loss in flank impacts, J, and the runs."""
@@ -101,13 +106,10 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
     after_ramp = shots.after_ramp_ms()
     after_ramp = after_ramp[~np.isnan(after_ramp)]
     errors = shifts.known("phase_error_deg")
-    rate = shots.gap_rate()
+    aborts = shifts.column("aborts")
     return {
         "shifts": len(shifts),
-        "first_contact_gap": {
-            "rate": finite(rate.share),
-            "ci95": [finite(rate.low), finite(rate.high)],
-        },
+        "first_contact_gap": _rate(shots.gap_rate()),
         "duration_ms": {
             "mean": _mean(durations),
             "mean_ci95": interval(resamples.of(name, "duration_ms_mean")),
@@ -130,6 +132,8 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
         "phases_ms": {part: _mean(shifts.known(part)) for part in PARTS},
         "bound_ms": _mean(shifts.known("bound_ms")),
         "over_bound": _over_bound(shots),
+        "aborted": _rate(shots.rate(aborts > 0)),
+        "aborts_mean": _mean(aborts),
         "retries": int(np.maximum(0, shifts.column("attempts") - 1).sum()),
         "blocked": int(shifts.column("blocked").sum()),
         "thrown_back": int((shots.is_gap & (shifts.column("ratchets") > 0)).sum()),
@@ -245,6 +249,10 @@ def _by_gear(shots: Shots) -> dict[str, Any]:
 
 def _mean(values: np.ndarray[Any, Any]) -> float | None:
     return finite(values.mean()) if values.size else None
+
+
+def _rate(rate: Rate) -> dict[str, Any]:
+    return {"rate": finite(rate.share), "ci95": [finite(rate.low), finite(rate.high)]}
 
 
 def _ratio(a: float | None, b: float | None, resampled: Vector) -> dict[str, Any]:

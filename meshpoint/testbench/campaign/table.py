@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.results.output import broken, number
+from meshpoint.testbench.results.output import TRIES, broken, number, tries
 from meshpoint.testbench.results.shift_parts import TITLES as PART_TITLES
 
 
@@ -89,7 +89,7 @@ def records_table(title: str, records: list[JudgedShift]) -> Table:
     )
     for column in ("strategy", "shift", "contact", "phase\nknown", "result"):
         table.add_column(column, no_wrap=True)
-    for column in ("duration\nms", "slip\nrpm", "phase\nerror\ndeg", "impact\nJ", "tries"):
+    for column in ("duration\nms", "slip\nrpm", "phase\nerror\ndeg", "impact\nJ", TRIES):
         table.add_column(column, justify="right", no_wrap=True)
     for record in records:
         table.add_row(
@@ -102,7 +102,7 @@ def records_table(title: str, records: list[JudgedShift]) -> Table:
             number(record.slip_rpm, 1),
             number(record.phase_error_deg, 2),
             number(record.impact_j, 2),
-            str(record.attempts),
+            tries(record.attempts, record.aborts),
         )
     return table
 
@@ -138,6 +138,8 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "mean impact J": lambda f: number(f["impact_j"]["mean"], 2),
     "p99 impact J": lambda f: number(f["impact_j"]["p99"], 2),
     "mean slip rpm": lambda f: number(f["slip_rpm_mean"], 1),
+    "aborted": lambda f: _rate(f["aborted"]),
+    "aborts a shift": lambda f: number(f["aborts_mean"], 2),
     "retries": lambda f: str(f["retries"]),
     "blocked": lambda f: str(f["blocked"]),
     "thrown back": lambda f: str(f["thrown_back"]),
@@ -145,4 +147,4 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "phase sd deg": lambda f: number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),
 }
-"""A line of the table each."""
+"""A line of the table each, here and on the page."""

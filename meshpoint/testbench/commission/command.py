@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from meshpoint.testbench.commission.rehearsal import draw_miswiring, findings_of
 from meshpoint.testbench.commission.whole import WholeCommission
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.identify.command import figures_table
 from meshpoint.testbench.identify.overlay import Entry
 from meshpoint.testbench.provenance import gearbox_words, provenance
 from meshpoint.testbench.results.output import complain, console, write_json
@@ -119,6 +121,7 @@ def run(namespace: argparse.Namespace) -> int:
             "ready": is_right,
             "reason": reason,
             "measured": [_row(entry, sheet) for entry in found.entries] if found else [],
+            "sleeve_law": [asdict(figure) for figure in found.sleeve_law] if found else [],
             "findings": [finding.to_json() for finding in findings],
         }
         write_json(namespace.json, values)
@@ -144,6 +147,8 @@ def _show(
     out.print(findings_table(findings))
     if found is not None and found.entries:
         out.print(measured_table([_row(entry, sheet) for entry in found.entries]))
+    if found is not None and found.sleeve_law:
+        out.print(figures_table(found.sleeve_law, "sleeves by their law"))
     out.print(last, soft_wrap=True)
 
 

@@ -12,7 +12,7 @@ from enum import Enum, auto
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     ClutchCommand,
@@ -40,8 +40,14 @@ STILL_US: Final = 300_000
 """Shafts and valves rest for so long before an output is armed."""
 CONSENT_US: Final = 10_000_000
 MOST_TRIALS: Final = 3
-RETURNS: Final = 8
+RETURNS: Final = 30
 """This often an output may be driven to bring its sleeve back to neutral."""
+SHORT_PULSE_US: Final = 18_000
+"""The first pulse that pulls a gear out: too short to move a sleeve that lies in its detent."""
+LONGER_US: Final = 2_000
+"""Each further pulse is longer by so much, until the sleeve leaves its gear; a sleeve that is
+pulled for longer than that flies through neutral into the other gear."""
+LONGEST_PULSE_US: Final = 100_000
 MOST_EDGES: Final = 4
 """Of a wheel within `STILL_US` before an output is armed: creeping is not turning."""
 MOST_PULSED_EDGES: Final = 12
@@ -85,6 +91,7 @@ class CommissionCore(HearingCore):
         self._trial: Trial | None = None
         self._consented_us: int | None = None
         self._tries = dict.fromkeys(ValveName, 0)
+        self._pulls = dict.fromkeys(ValveName, 0)
         self.question: ValveName | None = None
         self.trials: list[Trial] = []
         self.declined: set[ValveName] = set()
@@ -177,7 +184,7 @@ class CommissionCore(HearingCore):
             case Stage.ASKING:
                 return self._ask(now_us, waited_us, refusal)
             case Stage.PULSING:
-                if refusal or waited_us > LEAD_US + PULSE_US:
+                if refusal or waited_us > LEAD_US + self._pulse_us():
                     if self._trial is not None:
                         self._trial.cut_short = refusal
                     self._enter(Stage.LOOKING, now_us)
@@ -236,6 +243,22 @@ class CommissionCore(HearingCore):
                     return trial.valve
         return None
 
+    def _returns(self, trial: Trial) -> bool:
+        """Whether this output is known to move a main sleeve, and its sleeve lies on the other
+        side: the pulse brings it back to neutral."""
+        return any(
+            sleeve in MAIN_SLEEVES and trial.before_m[sleeve] * direction < -NEUTRAL_M
+            for known in self.trials
+            if known.valve is trial.valve
+            for sleeve, direction in known.moved
+        )
+
+    def _pulse_us(self) -> int:
+        trial = self._trial
+        if trial is None or not self._returns(trial):
+            return PULSE_US
+        return min(SHORT_PULSE_US + LONGER_US * self._pulls[trial.valve], LONGEST_PULSE_US)
+
     def _is_crossed(self) -> bool:
         """Whether an output has moved another sleeve than its own."""
         return any(
@@ -285,6 +308,9 @@ class CommissionCore(HearingCore):
         self._enter(Stage.RESTING, now_us)
         if trial is None:
             return []
+        if self._returns(trial):
+            # What has moved its sleeve is long enough; the next pull begins a little shorter.
+            self._pulls[trial.valve] = max(0, self._pulls[trial.valve] + (-1 if trial.moved else 1))
         self.trials.append(trial)
         moved = ", ".join(
             f"{sleeve.name.lower()} {'+' if way > 0 else '-'}" for sleeve, way in trial.moved
@@ -298,9 +324,12 @@ class CommissionCore(HearingCore):
         if self._stage is not Stage.PULSING or trial is None:
             return ValveCommand()
         name = trial.valve.name.lower()
-        # The same activation again and again: it is armed once, and holds.
+        # The same activation again and again: it is armed once, and holds. Its end follows when it
+        # has passed, since a valve keeps one pending activation.
+        has_begun = self._due_us - TICK_US - (self._since_us or 0) >= LEAD_US
+        ends_us = (trial.activation_us + self._pulse_us()) & 0xFFFF_FFFF
         values: dict[str, Any] = {
-            f"{name}_action": ValveAction.ON_AT,
-            f"{name}_time_us": trial.activation_us,
+            f"{name}_action": ValveAction.OFF_AT if has_begun else ValveAction.ON_AT,
+            f"{name}_time_us": ends_us if has_begun else trial.activation_us,
         }
         return ValveCommand(**values)

@@ -15,8 +15,6 @@ from meshpoint.controller.calibration.learned import (
     Calibration,
     End,
     Provenance,
-    SleeveRecord,
-    SleeveRecords,
     WheelRecord,
     WheelRecords,
 )
@@ -41,11 +39,11 @@ from meshpoint.testbench.commission.wheels import (
     tooth_count,
 )
 from meshpoint.testbench.commission.whole import WholeCommission
-from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identified import Figure, Identified
 from meshpoint.testbench.identify.identify import identify
 from meshpoint.testbench.identify.log_reader import LogContent, LogReader
 from meshpoint.testbench.identify.overlay import Entry, entries
-from meshpoint.testbench.identify.sleeve_fit import at_sheet, sleeve_fit
+from meshpoint.testbench.identify.sleeve_law import LAW_FIGURES
 from meshpoint.testbench.identify.tooth_fit import ToothFit
 from meshpoint.units import MS
 
@@ -71,6 +69,12 @@ class Commissioned:
     """What stays unknown, or contradicts itself."""
     identified: Identified | None = None
     calibration: Calibration | None = None
+
+    @property
+    def sleeve_law(self) -> list[Figure]:
+        """What is known of the main sleeves' laws."""
+        figures = self.identified.figures if self.identified is not None else []
+        return [one for one in figures if one.name in LAW_FIGURES and one.value is not None]
 
     def add(self, table: str, key: str, value: float, why: str) -> None:
         """A measured value."""
@@ -252,7 +256,8 @@ def _identify(found: Commissioned, recorded: list[tuple[int, Frame]]) -> None:
             reported[entry.table, entry.key] = entry
     found.entries = list(reported.values())
     for figure in found.identified.figures:
-        if figure.value is None and not figure.name.startswith("clutch"):
+        is_left_out = figure.name.startswith("clutch") or figure.name in LAW_FIGURES
+        if figure.value is None and not is_left_out:
             found.unknown(figure.name, figure.why)
     found.sheet = with_entries(found.sheet, found.entries)
 
@@ -263,13 +268,16 @@ def _calibrate(
     """What a controller would have to learn in its first shifts: teeth, and each gear's sleeve."""
     if found.identified is None:
         return
-    sheet = found.sheet
+    sheet, sleeves = found.sheet, _content(found.sheet, recorded).sleeves
+    if sleeves is None:
+        return
     fitted = {name: _wheel(fit) for name, fit in found.identified.teeth.items()}
     found.calibration = Calibration(
         format_=CALIBRATION_FORMAT,
         provenance=Provenance(version, sheet.name, sheet.sha256, written, 0),
         wheels=WheelRecords(**fitted),
-        sleeves=_sleeves(sheet, recorded),
+        sleeves=sleeves.records(),
+        sleeve_laws=sleeves.laws(),
         end=End(complete=True),
     )
 
@@ -278,21 +286,3 @@ def _wheel(fit: ToothFit) -> WheelRecord:
     errors = tuple(float(f"{error:.9g}") for error in fit.error_rad)
     sd = max(2e-6, float(np.sqrt(np.mean(fit.sd_rad**2))))
     return WheelRecord(fit.error_rad.size // 2, fit.spans * fit.error_rad.size, sd, errors)
-
-
-def _sleeves(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> SleeveRecords:
-    fitted = sleeve_fit(_content(sheet, recorded).strokes, sheet)
-    if fitted is None:
-        return SleeveRecords()
-    scatter_s = max(fitted.spread_s, 1e-4) if fitted.freedom > 1 else sheet.sleeve.delay_sd_s
-    return SleeveRecords(
-        **{
-            gear.name.lower(): SleeveRecord(
-                delay_s=at_sheet(float(delays.mean()), fitted.supply_pa, sheet),
-                samples=float(delays.size),
-                scatter_s=scatter_s,
-                scatter_samples=max(1.0, fitted.effective_freedom / len(fitted.delays_s)),
-            )
-            for gear, delays in fitted.delays_s.items()
-        }
-    )

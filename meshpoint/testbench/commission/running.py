@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import checked_request
 from meshpoint.dbc.link import Transmitter
@@ -44,12 +44,16 @@ from meshpoint.gearbox.gears import (
 from meshpoint.testbench.commission.core import (
     CONSENT_US,
     LEAD_US,
+    LONGER_US,
+    LONGEST_PULSE_US,
     NEUTRAL_M,
+    SHORT_PULSE_US,
     STATIONARY_US,
     TICK_US,
 )
 from meshpoint.testbench.commission.edge_log import EdgeLog, State
 from meshpoint.testbench.commission.hearing import HearingCore
+from meshpoint.testbench.commission.trial import MOVED_M
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import MM, RPM, US
 
@@ -356,15 +360,19 @@ class RunningCore(HearingCore):
                 yield from self._drive(side, is_there, MOVE_US, f"{name}: not moved")
 
     def _to_neutral(self) -> Program:
+        """By pulses that grow until the sleeve moves: one that is pulled for longer flies through
+        neutral into the other gear."""
         for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
-            for _ in range(4):
-                position = self._positions_m[sleeve]
-                if self._in_neutral(sleeve):
-                    break
-                back = SleeveSide(sleeve, -1 if position > 0.0 else 1)
-                yield from self._drive(back, partial(self._in_neutral, sleeve), 400_000)
-            else:
-                raise GivenUpError(f"{sleeve.name.lower()}: does not come to neutral")
+            pulse_us = SHORT_PULSE_US
+            while not self._in_neutral(sleeve):
+                if pulse_us > LONGEST_PULSE_US:
+                    raise GivenUpError(f"{sleeve.name.lower()}: does not come to neutral")
+                before_m = self._positions_m[sleeve]
+                back = SleeveSide(sleeve, -1 if before_m > 0.0 else 1)
+                yield from self._pulse(self._wires[back], pulse_us)
+                yield from self._hold(150_000)
+                if abs(self._positions_m[sleeve] - before_m) < MOVED_M:
+                    pulse_us += LONGER_US
 
     def _drive(
         self, side: SleeveSide, until: Callable[[], bool], most_us: int, why: str = ""
@@ -382,10 +390,11 @@ class RunningCore(HearingCore):
     def _pulse(self, valve: ValveName, during_us: int) -> Program:
         """Off at a time as exact as on: a fit of the pressure's fall goes by it."""
         self._activate(valve)
-        yield from self._hold(during_us)
+        # Not before it is on: a valve keeps one pending activation.
+        yield from self._hold(LEAD_US)
         if self._valve is not None:
             self._off_us = (self._valve[1] + during_us) & 0xFFFF_FFFF
-        yield from self._hold(2 * LEAD_US)
+        yield from self._hold(during_us + LEAD_US)
         self._valve = self._off_us = None
 
     def _push(self, side: SleeveSide) -> None:

@@ -10,7 +10,7 @@ from itertools import combinations
 from statistics import median
 from typing import Final
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.check.finding import Finding, Verdict
@@ -202,9 +202,10 @@ def _in(unit: float, value: float) -> float:
 
 def _trajectories_us(trials: list[Trial], to_contact_m: float) -> list[tuple[float, float]]:
     """From activation to the first movement and to the gear's faces, of each main sleeve that was
-    pushed out of neutral. Behind the valve's delay its way grows with the square of time."""
+    pushed out of neutral. Behind the valve's delay the chamber's pressure grows linearly, and the
+    way with the cube of time."""
     found = []
-    late, early = NEARLY_THERE**0.5, (BEGUN_M / to_contact_m) ** 0.5
+    late, early = math.cbrt(NEARLY_THERE), math.cbrt(BEGUN_M / to_contact_m)
     for trial in trials:
         sleeve = EXPECTED[trial.valve][0]
         if sleeve not in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):

@@ -203,9 +203,9 @@ def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
             out.print(f"not reported: {one.name}: {one.why}")
 
 
-def figures_table(figures: Sequence[Figure]) -> Table:
-    """What the log reports, with intervals, beside the data sheet."""
-    table = Table(title="identified", title_justify="left", box=None, pad_edge=False)
+def figures_table(figures: Sequence[Figure], title: str = "identified") -> Table:
+    """What was identified, with intervals, beside the data sheet."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for column in COLUMNS:
         left = column in ("figure", "unit")
         table.add_column(column, justify="left" if left else "right", no_wrap=True)

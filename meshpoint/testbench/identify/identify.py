@@ -32,6 +32,7 @@ from meshpoint.testbench.identify.jackknife import (
 )
 from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.testbench.identify.sleeve_fit import SleeveFit, sleeve_fit
+from meshpoint.testbench.identify.sleeve_law import SDS, sleeve_law
 from meshpoint.testbench.identify.tooth_fit import (
     tooth_fit,
     wheel_figures,
@@ -54,7 +55,8 @@ def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None)
     brake_figures(found, content, sheet, zero_pa)
     _teeth(found, content, sheet)
     tell("sleeves")
-    _sleeves(found, sleeve_fit(content.strokes, sheet), content, sheet)
+    _sleeves(found, sleeve_fit(content), content, sheet)
+    sleeve_law(found, content, sheet)
     tell("clutch")
     _clutch(found, content, sheet)
     _never(found)
@@ -130,7 +132,7 @@ def _sleeves(
         (f"sleeve delay {gear.name.lower()}", "ms", sleeve.delay_s / MS) for gear in MAIN_GEARS
     ]
     if fitted is None:
-        why = "no stroke of a main sleeve in the log"
+        why = "no contact of a main sleeve in the log"
         if not content.messages["ValveCommand"]:
             why = "no valve commands in the log"
         elif content.inexact:
@@ -139,10 +141,9 @@ def _sleeves(
             why = f"{content.late} commands came after their activation, by the log's clock"
         untold(found, why, *names, spread)
         return
-    found.supply_pa = fitted.supply_pa
+    found.supply_pa = sheet.air.supply_gauge_pa + sheet.air.atmosphere_pa
     correlation = fitted.correlation
     wider = math.sqrt((1.0 + correlation) / (1.0 - correlation))
-    kept_out, of_sheet = [], []
     for gear, (name, unit, by_sheet) in zip(MAIN_GEARS, names, strict=True):
         delays = fitted.delays_s.get(gear)
         if delays is None:
@@ -152,22 +153,20 @@ def _sleeves(
             untold(found, "too few strokes into one gear", (name, unit, by_sheet))
             continue
         mean = float(delays.mean())
-        half = student(fitted.freedom) * fitted.spread_s * wider / math.sqrt(delays.size)
+        half = math.hypot(
+            student(fitted.freedom) * fitted.spread_s * wider / math.sqrt(delays.size),
+            SDS * fitted.by_law_sd_s[gear],
+        )
         ends = ((mean - half) / MS, (mean + half) / MS)
         found.figures.append(Figure(name, unit, mean / MS, *ends, by_sheet, delays.size))
-        if delays.size > 1:
-            kept_out.append((delays - mean) * delays.size / (delays.size - 1) / MS)
-            of_sheet.append((delays - sleeve.delay_s) / MS)
-    if kept_out:
-        found.held_out.append(
-            check_samples("sleeve delay", "ms", np.concatenate(kept_out), np.concatenate(of_sheet))
-        )
+    by_sheet_ms = (fitted.after_s - sleeve.delay_s) / MS
+    found.held_out.append(check_samples("sleeve delay", "ms", fitted.errors_s / MS, by_sheet_ms))
     if fitted.freedom < 2:
         untold(found, "too few strokes into one gear", spread)
     else:
         low, high = scatter_interval(fitted.spread_s / MS, fitted.effective_freedom)
         found.figures.append(
-            Figure(*spread[:2], fitted.spread_s / MS, low, high, spread[2], fitted.used)
+            Figure(*spread[:2], fitted.spread_s / MS, low, high, spread[2], len(fitted.errors_s))
         )
 
 

@@ -1,4 +1,4 @@
-"""What a log holds of a gearbox, taken apart: runs in neutral, strokes of sleeves, closings of the
+"""What a log holds of a gearbox, taken apart: runs in neutral, contacts of sleeves, closings of the
 clutch. Nothing is estimated here, and nothing but sensor frames and valve commands is used.
 """
 
@@ -15,6 +15,9 @@ from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch, WheelEdges
+from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.sleeve.tracked import Contact
+from meshpoint.controller.valve_name import SLEEVE_VALVE
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
@@ -28,7 +31,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
-from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES
 from meshpoint.testbench.identify.thinning import Thinned
 from meshpoint.testbench.identify.valve_switches import (
     BRAKE,
@@ -38,6 +41,7 @@ from meshpoint.testbench.identify.valve_switches import (
 )
 from meshpoint.units import SECOND_US
 
+EDGES: Final = (EdgesLayshaftRise, EdgesLayshaftFall, EdgesMainRise, EdgesMainFall)
 STEP_US: Final = 10_000
 MOST_FREE_S: Final = 1.5
 """Of a longer run in neutral no more is kept: nothing is learned of a gearbox that coasts."""
@@ -45,17 +49,14 @@ PAST_US: Final = 2_000_000
 """Switches and pressures so long before a run in neutral are of no effect on it."""
 CLEAR_SHARE: Final = 0.6
 """A sleeve within this share of its way to the teeth touches none, whatever its sensor's offset."""
-STROKE_US: Final = 150_000
-"""A stroke is over so long after its valve was switched on."""
 KEPT_ENGINE: Final = 200
 """Samples of the engine's speed: 2 s."""
 OPEN, HIGH = 0.02, 0.98
 """A clutch beyond these shares of its travel is at its end."""
 LEAST_CLOSING: Final = 6
 """Samples of a closing clutch."""
-PULLED_M: Final = 1.5e-3
-"""A sleeve further than this from its rest when its valve is switched on is pulled out of a gear,
-not pushed into one."""
+MOVED_M: Final = 0.5e-3
+"""A sleeve that goes this far within a frame or two moves: some times the sensors' noise."""
 
 
 @dataclass
@@ -89,19 +90,6 @@ class FreeRun:
     """Samples (2, n): time and engine speed (rad/s)."""
 
 
-class Stroke(NamedTuple):
-    """A sleeve on its way into a gear: samples of its position, and when its valve was switched."""
-
-    gear: MainGear
-    fired_us: int
-    time_us: Vector
-    way_m: Vector
-    """From where it rests in neutral, toward the gear."""
-    supply_pa: float
-    rested_s: float | None
-    """Since the sleeve's last move; None: not seen."""
-
-
 class Closing(NamedTuple):
     """The clutch closing: position 0 open to 1 closed, and engine speeds at their own times."""
 
@@ -116,15 +104,20 @@ class LogContent:
     """All that was found. What is kept is limited, whatever the log's length."""
 
     runs: Thinned[FreeRun] = field(default_factory=Thinned)
-    strokes: Thinned[Stroke] = field(default_factory=Thinned)
+    contacts: Thinned[tuple[MainGear, Contact]] = field(default_factory=Thinned)
+    """Sleeves that came to a gear's teeth."""
     closings: Thinned[Closing] = field(default_factory=Thinned)
     messages: Counter[str] = field(default_factory=Counter)
     inexact: int = 0
-    """Strokes whose valve was switched at no commanded time."""
+    """Firings of a main sleeve at no commanded time."""
     late: int = 0
     """Commands whose activation had passed by the log's clock when they came."""
     empty_pa: list[float] = field(default_factory=list)
     """Pressures at the brake long after its valve went off."""
+    sleeves: Sleeves | None = None
+    """What a controller would have learned of the main sleeves."""
+    moved: set[Sleeve] = field(default_factory=set)
+    """The main sleeves that have moved."""
 
 
 class _Trajectory:
@@ -176,7 +169,9 @@ class LogReader:
         self._free_us: int | None = None
         self._split: Split | None = None
         self._last_us = 0
-        self._strokes = _Strokes(sheet, self.content)
+        self.content.sleeves = self._sleeves = Sleeves(sheet)
+        self._told_us: dict[MainGear, int] = {}
+        """The newest switch of each gear's valve that the sleeves know of."""
         self._closing = _ClosingTrack(self.content)
         self._next_us: int | None = None
 
@@ -191,8 +186,11 @@ class LogReader:
         if message is not None:
             self.content.messages[type(message).__name__] += 1
             self._inputs.take(message)
+            # As it comes: a step stamps what came before it anew, and later.
             if isinstance(message, GearboxSensors):
                 self._clock.stamp(message.sample_time_us, now_us)
+            elif isinstance(message, EDGES):
+                self._clock.stamp(message.read_time_us, now_us)
             if isinstance(message, EEC1) and message.engine_speed_rad_s is not None:
                 self._closing.engine(self._clock.now_us(now_us), message.engine_speed_rad_s)
             return
@@ -226,8 +224,30 @@ class LogReader:
             self._take_sensors(sensors, clock.stamp(sensors.sample_time_us, now_us))
         sensor_now = clock.now_us(now_us)
         if inputs.sleeves_main:
-            self._strokes.step(view, self._valves, sensor_now, self._supply_pa)
+            self._move_sleeves(sensor_now)
         self._follow(layshaft, main)
+
+    def _move_sleeves(self, now_us: int) -> None:
+        """Gives the sleeves what their valves have done, and where they are."""
+        for gear in MAIN_GEARS:
+            told_us = self._told_us.get(gear, 0)
+            switches = self._valves.of(VALVE_OF_GEAR[gear], now_us)
+            new = [switch for switch in switches if switch.time_us > told_us]
+            if new:
+                self.content.inexact += sum(one.on and not one.exact for one in new)
+                self._sleeves.expected(SLEEVE_VALVE[gear], [(one.time_us, one.on) for one in new])
+                self._told_us[gear] = new[-1].time_us
+        if self._supply:
+            self._sleeves.supply_pa = self._supply[-1] - self._sheet.air.atmosphere_pa
+        before = dict(self._sleeves.contacts)
+        self._sleeves.take(self._view, now_us)
+        for gear, contact in self._sleeves.contacts.items():
+            if contact is not before.get(gear):
+                self.content.contacts.add((gear, contact))
+        for sleeve in MAIN_SLEEVES:
+            samples_m = self._view.tracks[sleeve].samples_m
+            if max(samples_m) - min(samples_m) > MOVED_M:
+                self.content.moved.add(sleeve)
 
     def _take_sensors(self, message: GearboxSensors, time_us: int) -> None:
         self._view.clutch.take(time_us, message.clutch_position_fraction)
@@ -242,10 +262,6 @@ class LogReader:
         if self._free_us is None and len(self._pressure) > PAST_US // STEP_US:
             del self._pressure[:-50], self._supply[:-50]
             self._valves.forget(time_us - PAST_US)
-
-    @property
-    def _supply_pa(self) -> float:
-        return self._supply[-1] if self._supply else self._sheet.air.supply_gauge_pa
 
     def _is_free(self) -> bool:
         view = self._view
@@ -304,61 +320,6 @@ class LogReader:
                 self._closing.engine_since(start_us - 3 * STEP_US),
             )
         )
-
-
-class _Strokes:
-    """Follows the main sleeves from a valve's activation to its gear."""
-
-    def __init__(self, sheet: GearboxSheet, content: LogContent) -> None:
-        self._sheet, self._content = sheet, content
-        self._seen: dict[MainGear, int] = {}
-        """The activation of each gear's valve that was used last."""
-        self._open: dict[MainGear, tuple[Switch, list[tuple[float, float]], float]] = {}
-        self._moved_us: dict[int, int] = {}
-        self._rest_m: dict[int, float] = {}
-
-    def step(self, view: GearboxView, valves: ValveSwitches, now_us: int, supply_pa: float) -> None:
-        """One read of the sleeves."""
-        for gear in MAIN_GEARS:
-            side = SLEEVE_OF_MAIN[gear]
-            track = view.tracks.get(side.sleeve)
-            if track is None:
-                continue
-            if view.in_neutral(side.sleeve) and abs(track.position_m) < 1e-3:
-                rest = self._rest_m.get(side.sleeve, track.position_m)
-                mean = float(np.mean(track.samples_m))
-                self._rest_m[side.sleeve] = rest + 0.1 * (mean - rest)
-            switches = valves.of(VALVE_OF_GEAR[gear], now_us)
-            newest = switches[-1] if switches else None
-            if newest is not None and newest.on and self._seen.get(gear) != newest.time_us:
-                self._seen[gear] = newest.time_us
-                if view.in_neutral(side.sleeve) or track.newest_us - newest.time_us < 20_000:
-                    self._open[gear] = (newest, [], supply_pa)
-            self._watch(gear, side.sleeve, side.direction, view)
-
-    def _watch(self, gear: MainGear, sleeve: int, direction: int, view: GearboxView) -> None:
-        if gear not in self._open:
-            return
-        switch, samples, supply_pa = self._open[gear]
-        track = view.tracks[sleeve]  # type: ignore[index]
-        rest = self._rest_m.get(sleeve, 0.0)
-        for back in range(9, -1, -1):
-            if back < len(track.samples_m):
-                way = (track.samples_m[back] - rest) * direction
-                samples.append((track.newest_us - 1000.0 * back, way))
-        if track.newest_us - switch.time_us < STROKE_US:
-            return
-        del self._open[gear]
-        moved = self._moved_us.get(sleeve)
-        self._moved_us[sleeve] = switch.time_us
-        if not switch.exact:
-            self._content.inexact += 1
-            return
-        times, ways = np.array(samples).T
-        if abs(ways[np.searchsorted(times, switch.time_us)]) > PULLED_M:
-            return
-        rested = None if moved is None else (switch.time_us - moved) / SECOND_US
-        self._content.strokes.add(Stroke(gear, switch.time_us, times, ways, supply_pa, rested))
 
 
 class _ClosingTrack:

@@ -12,8 +12,6 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.table_text import number, quoted
 from meshpoint.testbench.identify.identified import Identified
-from meshpoint.testbench.identify.sleeve_fit import at_sheet
-from meshpoint.units import MS
 
 LEAST_SPREAD_MS: Final = 0.1
 
@@ -50,7 +48,7 @@ def entries(found: Identified, sheet: GearboxSheet) -> list[Entry]:
     if drag is not None and found.omega_ref_rad_s > 0.0:
         viscous = max(drag / found.omega_ref_rad_s, 0.0)
         add("shafts", "friction_nms", viscous, f"the whole drag at {rpm:.0f} rpm over the speed")
-    _sleeve(found, sheet, reported, made)
+    _sleeve(reported, made)
     kiss = reported.get("clutch kiss point")
     if kiss is not None:
         figure = found.figure("clutch kiss point")
@@ -68,9 +66,7 @@ def _mean(reported: dict[str, float], *names: str) -> float | None:
     return sum(values) / len(values) if values else None
 
 
-def _sleeve(
-    found: Identified, sheet: GearboxSheet, reported: dict[str, float], made: list[Entry]
-) -> None:
+def _sleeve(reported: dict[str, float], made: list[Entry]) -> None:
     """The delay at the sheet's supply pressure, mean of all gears, and its spread."""
     delay = _mean(reported, *(f"sleeve delay {gear.name.lower()}" for gear in MAIN_GEARS))
     if delay is None:
@@ -79,7 +75,7 @@ def _sleeve(
         Entry(
             "sleeve",
             "delay_ms",
-            at_sheet(delay * MS, found.supply_pa, sheet) / MS,
+            delay,
             "mean of the gears, at the sheet's supply pressure",
         )
     )

@@ -1,79 +1,35 @@
-"""How long a sleeve takes from its valve's activation to its gear's teeth, stroke by stroke.
-
-Under a constant force the way grows with the square of the time since the valve has opened:
-
-    sqrt(x / x_c) = (t - t_v) / (t_c - t_v)
-
-so a line through the roots of the measured ways gives the contact t_c, whatever stops the sleeve
-there. Delays are reported at the log's mean supply pressure.
-"""
+"""How long a sleeve takes from its valve's activation to its gear's teeth, stroke by stroke: as the
+controller's law takes it from neutral at the data sheet's supply pressure, and what the law leaves
+of each contact."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.planning.sleeve_delay import FAR_S, PRESSURE_EXPONENT
-from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.controller.sleeve.contact_chance import FAR_S
+from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
-from meshpoint.testbench.identify.log_reader import Stroke
+from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.units import US
 
-FROM, TO = 0.06, 0.9
-"""Shares of the way to the teeth that are used: before, noise rules; after, the teeth."""
-LEAST_SAMPLES: Final = 8
-MOST_REST: Final = 0.05
-"""RMS of the roots about the line; a sleeve that was held up on its way is no sample."""
 LEAST_CORRELATION, MOST_CORRELATION = 0.3, 0.8
 """A sleeve's strokes go together, by seals, grease and warmth that change slowly."""
 
 
-class Contact(NamedTuple):
-    """One stroke."""
-
-    gear: MainGear
-    delay_s: float
-    """From activation to contact."""
-    supply_pa: float
-
-
-def contact_of(stroke: Stroke, sheet: GearboxSheet) -> Contact | None:
-    """None where the sleeve did not go there in one move."""
-    to_contact = sheet.sleeve.to_contact_m
-    seconds = (stroke.time_us - stroke.fired_us) * US
-    share = stroke.way_m / to_contact
-    there = np.flatnonzero(share >= TO)
-    if not there.size:
-        return None
-    end = int(there[0])
-    below = np.flatnonzero(share[:end] < FROM)
-    begin = int(below[-1]) + 1 if below.size else 0
-    if end - begin < LEAST_SAMPLES:
-        return None
-    root, at = np.sqrt(np.maximum(share[begin:end], 0.0)), seconds[begin:end]
-    # Noise of x is constant, so that of its root is 1 / (2 root): large roots weigh more.
-    slope, offset = np.polyfit(at, root, 1, w=root)
-    if slope <= 0.0 or float(np.std(root - slope * at - offset)) > MOST_REST:
-        return None
-    valve_s, delay_s = -offset / slope, (1.0 - offset) / slope
-    if abs(delay_s - sheet.sleeve.delay_s) > FAR_S or valve_s < 0.0:
-        return None
-    return Contact(stroke.gear, float(delay_s), stroke.supply_pa)
-
-
 @dataclass(frozen=True)
 class SleeveFit:
-    """Delays of the strokes by gear, at one supply pressure."""
+    """Delays of the strokes by gear."""
 
     delays_s: dict[MainGear, np.ndarray]
-    supply_pa: float
-    """Absolute; the delays are reported at this pressure."""
-    used: int
-    seen: int
+    by_law_sd_s: dict[MainGear, float]
+    """Deviation of the law's own delay."""
+    errors_s: np.ndarray
+    """By how much each contact was later than what was expected before its sleeve moved."""
+    after_s: np.ndarray
+    """And after its firing."""
 
     @property
     def freedom(self) -> int:
@@ -117,33 +73,21 @@ def _squares_expected(count: int, correlation: float) -> float:
     return float(count - 1 - 2.0 * np.sum((1.0 - lags / count) * correlation**lags))
 
 
-def at_supply(delay_s: float, seen_pa: float, reported_pa: float, sheet: GearboxSheet) -> float:
-    """A delay that was seen at one absolute supply pressure, as it would be at another: the valve's
-    part stays, the piston's goes with a power of the gauge pressure."""
-    valve_s, atmosphere_pa = sheet.sleeve.valve_delay_s, sheet.air.atmosphere_pa
-    share = (seen_pa - atmosphere_pa) / (reported_pa - atmosphere_pa)
-    return float(valve_s + (delay_s - valve_s) * share**PRESSURE_EXPONENT)
-
-
-def at_sheet(delay_s: float, seen_pa: float, sheet: GearboxSheet) -> float:
-    """The same at the data sheet's supply pressure."""
-    return at_supply(delay_s, seen_pa, sheet.air.supply_gauge_pa + sheet.air.atmosphere_pa, sheet)
-
-
-def sleeve_fit(strokes: Iterable[Stroke], sheet: GearboxSheet) -> SleeveFit | None:
-    """None without a usable stroke."""
-    seen = list(strokes)
-    contacts = [one for one in (contact_of(stroke, sheet) for stroke in seen) if one is not None]
-    if not contacts:
+def sleeve_fit(content: LogContent) -> SleeveFit | None:
+    """None without a contact."""
+    contacts = [
+        (gear, one)
+        for gear, one in content.contacts
+        if abs(one.measured_us - one.expected_us) * US < FAR_S
+    ]
+    if content.sleeves is None or not contacts:
         return None
-    supply = float(np.mean([one.supply_pa for one in contacts]))
-    delays: dict[MainGear, np.ndarray] = {}
+    delays, sds = {}, {}
     for gear in MAIN_GEARS:
-        own = [
-            at_supply(one.delay_s, one.supply_pa, supply, sheet)
-            for one in contacts
-            if one.gear is gear
-        ]
-        if own:
-            delays[gear] = np.array(own)
-    return SleeveFit(delays, supply, len(contacts), len(seen))
+        left_us = [one.measured_us - one.usual_us for at, one in contacts if at is gear]
+        if left_us:
+            by_law = content.sleeves.law_figures(gear).contact_s
+            delays[gear], sds[gear] = by_law.value + US * np.array(left_us), by_law.sd
+    errors_us = np.array([one.measured_us - one.expected_us for _, one in contacts])
+    after_us = np.array([one.measured_us - one.fired_us for _, one in contacts])
+    return SleeveFit(delays, sds, US * errors_us, US * after_us)

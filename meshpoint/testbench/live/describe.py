@@ -57,8 +57,8 @@ def faults_table() -> Table:
     for column in ("what goes wrong", "target", "value"):
         table.add_column(column)
     for kind in RigFault:
-        text, target, _, value = KINDS[kind]
-        table.add_row(str(int(kind)), kind.name.lower(), text, target, value)
+        said = KINDS[kind]
+        table.add_row(str(int(kind)), kind.name.lower(), said.text, said.target, said.value)
     return table
 
 

@@ -29,8 +29,10 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.results.aborts import aborts_words, halt_mm
 from meshpoint.testbench.results.faults import STALE_FAULTS, explain
 from meshpoint.testbench.results.output import complain, tell
+from meshpoint.testbench.results.states import standing_words
 
 AGAIN_S = 0.2
 """The request is repeated until the controller is seen to act on it."""
@@ -171,7 +173,10 @@ class _Asking:
         if outcome.result is ShiftResult.ENGAGED:
             took_ms = ((outcome.end_time_us - outcome.request_time_us) & 0xFFFF_FFFF) / 1000
             strategy = outcome.strategy.name.lower()
-            tell(f"{line} after {took_ms:.0f} ms ({strategy}, {outcome.attempts} fired)")
+            fired = f"{outcome.attempts} fired"
+            if outcome.aborts:
+                fired += f", aborted {aborts_words(outcome.aborts, halt_mm(outcome))}"
+            tell(f"{line} after {took_ms:.0f} ms ({strategy}, {fired})")
             return Exit.DONE
         if outcome.fault not in STALE_FAULTS:
             _complain(f"{line}, {explain(outcome.fault)}")
@@ -202,9 +207,7 @@ class _Asking:
 
 
 def _where(status: ControllerStatus) -> str:
-    state = status.state.name.lower().replace("_", " ")
-    if status.state is ControllerState.IN_GEAR:
-        state = f"in gear {status.current_gear}"
+    state = standing_words(status)
     fault = status.active_fault
     return f"{state}, {explain(fault)}" if fault is not FaultCode.NONE else state
 

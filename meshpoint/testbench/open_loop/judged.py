@@ -21,6 +21,7 @@ from meshpoint.testbench.open_loop.trajectory import (
     Trajectory,
     decision_of,
     differing,
+    firing_of,
     trajectory_parted_ms,
 )
 
@@ -59,7 +60,8 @@ class Judged:
     last: Decision | None
     """Its last decision before the recorded sleeve met its gear."""
     recorded: Decision | None
-    """The first firing of the recorded controller; None where it fired no sleeve."""
+    """The first firing of the recorded controller that it did not abort; None where there is
+    none."""
     parted: OfCommands | None
     """None: it commands what was recorded."""
     trajectory_parted_ms: float | None
@@ -69,6 +71,8 @@ class Judged:
     """When the recorded sleeve was expected at its gear: decisions after it mean nothing."""
     contact_why: str
     """Why it is not reported where the tooth would have met."""
+    aborted_ms: list[float] = field(default_factory=list)
+    """When it stopped a sleeve on its way, on frames that answer to its own commands."""
     strayed_at_step: int | None = None
     """From this step on the recorded controller is not repeated exactly."""
     decisions: list[Decision] = field(default_factory=list)
@@ -135,6 +139,7 @@ class Judged:
             "on_own_trajectory": self.on_own_trajectory,
             "trajectory_parted_ms": self.trajectory_parted_ms,
             "judged_to_ms": self.judged_to_ms,
+            "aborted_ms": self.aborted_ms,
             "contact": None,
             "contact_why": self.contact_why,
             "counterfactual": self._counterfactual_json(),
@@ -171,7 +176,7 @@ def judge(
     where it refused; known: gears whose phase reference is known, one bit each."""
     request_us = outcome.request_time_us
     theirs = recorded.decisions(step_us, request_us)
-    firing = next((d for d in theirs if d.decision == "committed"), None)
+    firing = firing_of(theirs, recorded.aborted_ms(step_us))
     judged_to_ms = firing.expected_contact_ms if firing else None
     mine = [
         decision
@@ -179,13 +184,16 @@ def judge(
         if judged_to_ms is None or decision.at_ms < judged_to_ms
     ]
     target = DRIVE_GEARS[outcome.to_gear].main
-    status, last, fault = _status(mine, record, judged_to_ms, step_us, replayed)
     driven = replayed.driven(step_us, request_us)
     parted = _parting(recorded, replayed, step_us, request_us, judged_to_ms)
     trajectory_ms = trajectory_parted_ms(recorded, replayed, step_us, request_us)
     if judged_to_ms is not None and trajectory_ms is not None and trajectory_ms >= judged_to_ms:
         trajectory_ms = None
     end_ms = math.inf if judged_to_ms is None else judged_to_ms
+    own_ms = end_ms if trajectory_ms is None else trajectory_ms
+    aborted_ms = [at_ms for at_ms in replayed.aborted_ms(step_us) if at_ms < own_ms]
+    fired = firing_of(mine, aborted_ms)
+    status, last, fault = _status(mine, fired, record, judged_to_ms, step_us, replayed)
     if status == "fired" and last is not None:
         end_ms = last.at_ms
 
@@ -206,6 +214,7 @@ def judge(
         trajectory_parted_ms=trajectory_ms,
         judged_to_ms=judged_to_ms,
         contact_why=_contact_why(status, last, parted, firing),
+        aborted_ms=aborted_ms,
         strayed_at_step=strayed,
         decisions=mine,
         driven=_up_to(driven, judged_to_ms),
@@ -220,15 +229,15 @@ def rounded(values: dict[str, Any]) -> dict[str, Any]:
 
 def _status(
     mine: list[Decision],
+    fired: Decision | None,
     record: ShiftRecord | None,
     judged_to_ms: float | None,
     step_us: int,
     replayed: Trajectory,
 ) -> tuple[str, Decision | None, str]:
-    """What became of it up to there, by its first firing or else its last decision; its fault."""
+    """What became of it up to there, by its firing or else its last decision; its fault."""
     if record is None or record.result is ShiftResult.REFUSED:
         return "refused", None, "none" if record is None else record.fault.name.lower()
-    fired = next((d for d in mine if d.decision == "committed"), None)
     if fired is not None:
         return "fired", fired, "none"
     last = mine[-1] if mine else None

@@ -29,7 +29,7 @@ from meshpoint.controller.motion.models import LayshaftState, MotionModel
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.testbench.open_loop.copies import copied
@@ -39,6 +39,7 @@ from meshpoint.testbench.open_loop.recorded_trajectory import (
     Seen,
     last_release_us,
 )
+from meshpoint.testbench.results.states import state_words
 from meshpoint.units import DEG, RPM, US
 
 NORMALS: Final = 7 + PARAMETERS
@@ -166,8 +167,8 @@ class PartedController:
             return ""
         if state not in MODELLED or self.model is None:
             return (
-                f"the trajectories part while {state.name.lower().replace('_', ' ')}: clutch, "
-                "engine and old gear have no model here"
+                f"the trajectories part while {state_words(state)}: clutch, engine, old "
+                "gear and a sleeve before the teeth have no model here"
             )
         return ""
 
@@ -265,8 +266,8 @@ class _Draw:
 
     def _landing(self, fire_us: int) -> _Landing:
         sequence, trajectory, gear = self.sequence, self._trajectory, self._parting.gear
-        delay_us = sequence.delays.delay_us(gear)
-        delay_us += sequence.delays.delay_sd_s(gear) / US * self._normal[DELAY]
+        stroke = sequence.sleeves.from_rest(gear)
+        delay_us = stroke.contact_us + stroke.sd_us * self._normal[DELAY]
         contact_us = fire_us + delay_us
         state, main = self._state(contact_us), trajectory.main(contact_us)
         theta_main = main.theta_at(contact_us)
@@ -331,7 +332,7 @@ def work_out(
     if isinstance(likeliest, str):
         return undecidable(likeliest)
     landings = []
-    freedom = parting.sequence.delays.scatter_samples(parting.gear)
+    freedom = parting.sequence.sleeves.from_rest(parting.gear).freedom
     for _ in range(draws):
         normal = rng.standard_normal(NORMALS)
         # The delay's scatter is known from few shifts: Student's law.

@@ -304,6 +304,7 @@ class SensorReplay:
                 "strategy": o.strategy.name.lower(),
                 "reference": o.reference.name.lower(),
                 "attempts": o.attempts,
+                "aborts": o.aborts,
                 "fired_ms": _after_ms(o.fire_time_us, o.request_time_us) if o.attempts else None,
                 "predicted_phase_deg": (
                     round(o.predicted_phase_rad / DEG, 3)
@@ -342,7 +343,9 @@ def _status(outcome: ShiftOutcome) -> str:
     """What was decided; how the shift ended is the log's."""
     if outcome.result is ShiftResult.REFUSED:
         return "refused"
-    return "fired" if outcome.attempts else "not fired"
+    if outcome.attempts:
+        return "fired"
+    return "aborted" if outcome.aborts else "not fired"
 
 
 def _after_ms(time_us: int, since_us: int) -> float:

@@ -5,17 +5,20 @@ Times are in ms since the request.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import (
     TSC1,
     ClutchCommand,
+    ControllerState,
+    ControllerStatus,
     ShiftDecision,
     ShiftOutcome,
     ShiftPrediction,
@@ -32,7 +35,14 @@ LAST_STEP_MS: Final = 10.0
 """A trajectory's last command is drawn for as long as a tick."""
 SAID: Final = {
     CODECS[kind.__name__].spec.can_id: CODECS[kind.__name__]
-    for kind in (ValveCommand, ClutchCommand, TSC1, ShiftPrediction, ShiftOutcome)
+    for kind in (
+        ValveCommand,
+        ClutchCommand,
+        TSC1,
+        ShiftPrediction,
+        ShiftOutcome,
+        ControllerStatus,
+    )
 }
 
 
@@ -47,6 +57,7 @@ class Said(NamedTuple):
     prediction: ShiftPrediction | None
     outcome: ShiftOutcome | None
     events: tuple[str, ...] = ()
+    state: ControllerState | None = None
 
     @property
     def ended(self) -> ShiftOutcome | None:
@@ -67,6 +78,7 @@ def said(time_us: int, frames: list[Frame], events: tuple[str, ...] = ()) -> Sai
         found.get(ShiftPrediction),
         found.get(ShiftOutcome),
         events,
+        getattr(found.get(ControllerStatus), "state", None),
     )
 
 
@@ -108,6 +120,16 @@ def decision_of(said: ShiftPrediction, at_ms: float, request_us: int) -> Decisio
     )
 
 
+def firing_of(decisions: list[Decision], aborted_ms: list[float]) -> Decision | None:
+    """The first firing that was not aborted; None: there is none."""
+    firings = [decision for decision in decisions if decision.decision == "committed"]
+    for firing, after in pairwise([*firings, None]):
+        end_ms = math.inf if after is None else after.at_ms
+        if firing and not any(firing.at_ms < at_ms < end_ms for at_ms in aborted_ms):
+            return firing
+    return None
+
+
 def _ms(stamp_us: int, request_us: int) -> float:
     return span_us(stamp_us, request_us) / 1000
 
@@ -128,6 +150,14 @@ class Trajectory:
             decision_of(said.prediction, (said.time_us - step_us) / 1000, request_us)
             for said in self.steps
             if said.prediction is not None
+        ]
+
+    def aborted_ms(self, step_us: int) -> list[float]:
+        """The steps in which a sleeve on its way was stopped."""
+        return [
+            (now.time_us - step_us) / 1000
+            for before, now in pairwise(self.steps)
+            if now.state is ControllerState.HALTED is not before.state
         ]
 
     def driven(self, step_us: int, request_us: int) -> dict[str, list[tuple[float, float]]]:

@@ -46,7 +46,8 @@ def write_play(path: Path, sheet: GearboxSheet) -> None:
         f"<p>Gap, delay and scatter begin at those of the data sheet {escape(sheet.name)}.</p>",
         "<p>The controller here knows slip and phase exactly and aims at the middle of the next "
         "gap that its sleeve can reach; what is left is the scatter of the delay. The real one has "
-        "to estimate both from tooth timestamps.</p>",
+        "to estimate both from tooth timestamps, and stops a sleeve on its way that would meet a "
+        "tooth.</p>",
     ]
     text = Page(TITLE, body, {"geometry": geometry(sheet)}, "", SCRIPTS).text()
     try:

@@ -10,6 +10,8 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
@@ -17,6 +19,8 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     ControllerEstimates,
+    ControllerState,
+    ControllerStatus,
     Message,
     ReferenceEngagement,
     ShiftDecision,
@@ -39,12 +43,12 @@ LATE_S: Final = 0.05
 """Frames of a moment may come in this much later than one another."""
 KEEP_S: Final = 30.0
 """How far back a shift may have begun when its outcome comes."""
-COLLECTED_IDS: Final = frozenset(
-    CODECS[kind.__name__].spec.can_id
-    for kind in (*TRACED, ReferenceEngagement, ShiftOutcome, ShiftPrediction)
-)
-MADE: Final = (ControllerEstimates, ShiftOutcome, ShiftPrediction)
+MADE: Final = (ControllerEstimates, ControllerStatus, ShiftOutcome, ShiftPrediction)
 """What the controller says; a replay takes these from the controller that it runs."""
+COLLECTED_IDS: Final = frozenset(
+    CODECS[kind.__name__].spec.can_id for kind in (*TRACED, *MADE, ReferenceEngagement)
+)
+ABORTED: Final = "aborted"
 AIMED_DECISIONS: Final = (ShiftDecision.FIRE, ShiftDecision.COMMITTED)
 Points = tuple[list[float], list[float]]
 """Times in ms since the request, and values."""
@@ -67,6 +71,18 @@ class ReportShift:
         return span_us(stamp_us, self.row.request_us) / 1000
 
     @property
+    def aborted_ms(self) -> list[float]:
+        """When the controller stopped a sleeve on its way, to within a step."""
+        return self.points(ABORTED)[0]
+
+    def aborts_on(self, name: str) -> Points:
+        """Each abort as a point of a series; none where the bus did not carry it."""
+        times_ms, values = self.points(name)
+        if not times_ms:
+            return [], []
+        return self.aborted_ms, np.interp(self.aborted_ms, times_ms, values).tolist()
+
+    @property
     def contact_ms(self) -> float | None:
         """First contact by the rig's truth."""
         return None if self.row.contact_us is None else self.ms(self.row.contact_us)
@@ -85,11 +101,17 @@ class ReportShift:
 class _ReportTraces(Traces):
     """The traces of a run with what only a report draws: bounds, predictions, every valve."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._state: ControllerState | None = None
+
     def take(self, message: Message) -> None:
         """One message in bus order."""
         super().take(message)
         if isinstance(message, ControllerEstimates):
             self._bounds(message)
+        elif isinstance(message, ControllerStatus):
+            self._status(message)
         elif isinstance(message, ValveStatus):
             time_us = self._time_us(message.sample_time_us)
             for name in ("split_low", "split_high", "range_low", "range_high"):
@@ -98,6 +120,12 @@ class _ReportTraces(Traces):
             time_us = self._time_us(message.decision_time_us)
             self._add("predicted_phase_deg", time_us, message.phase_rad / DEG)
             self._add("predicted_phase_sd_deg", time_us, message.phase_sd_rad / DEG)
+
+    def _status(self, message: ControllerStatus) -> None:
+        """A step says no sensor time: an abort counts as of the newest measurement before it."""
+        if message.state is ControllerState.HALTED is not self._state:
+            self._add(ABORTED, self._latest_us, 1.0)
+        self._state = message.state
 
     def _bounds(self, message: ControllerEstimates) -> None:
         time_us = self._time_us(message.estimate_time_us)

@@ -23,7 +23,8 @@ from meshpoint.testbench.results.wilson import wilson
 LEARNING: Final = "learning"
 AIMED_KIND: Final = "aimed"
 HEADERS: Final = (
-    "shifts", "strategy", "into\nthe gap", "95 %\ninterval", "phase error\nRMS, deg", "mean\nms",
+    "shifts", "strategy", "into\nthe gap", "95 %\ninterval", "phase\nerror\nRMS, deg", "mean\nms",
+    "with\nabort",
 )  # fmt: skip
 
 
@@ -44,6 +45,8 @@ class ShiftGroup:
     """None for a strategy that does not aim, or where there is no contact."""
     mean_duration_ms: float | None
     """Of those that engaged."""
+    aborted: int = 0
+    """Shifts whose sleeve was stopped short of the teeth, once or more."""
     mean_impact_j: float | None = None
     """Lost in flank impacts a shift; None where the gearbox keeps no tally, as preset thesis."""
     aims: bool = True
@@ -108,6 +111,7 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow], *, aims: bool) -> Shi
         gap=sum(row.contact == "gap" for row in rows),
         phase_error_rms_deg=rms,
         mean_duration_ms=sum(durations) / len(durations) if durations else None,
+        aborted=sum(row.aborts > 0 for row in rows),
         mean_impact_j=impact_j / len(rows) if impact_j > 0.0 else None,
         aims=aims,
     )
@@ -192,6 +196,7 @@ def cells(group: ShiftGroup) -> list[str]:
         f"{100 * low:.0f} to {100 * high:.0f} %" if group.contacts else "-",
         "-" if rms is None else f"{rms:.2f}",
         "-" if mean is None else f"{mean:.0f}",
+        str(group.aborted),
     ]
 
 

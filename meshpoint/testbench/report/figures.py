@@ -100,6 +100,7 @@ def _events(shift: ReportShift) -> tuple[list[Figure], list[Figure]]:
     events = [("request", 0.0), ("in gear" if row.result == "engaged" else "end", row.duration_ms)]
     if row.attempts:
         events.append(("valve", shift.ms(outcome.fire_time_us)))
+    events += [("aborted", at_ms) for at_ms in shift.aborted_ms]
     if shift.contact_ms is not None:
         events.append((f"contact: {row.contact}", shift.contact_ms))
     shapes = [
@@ -238,11 +239,14 @@ def _bar(label: str, times_ms: list[float], on: list[bool], color: str) -> Figur
 
 
 def _sleeves(shift: ReportShift, sleeves: dict[Sleeve, str]) -> list[Figure]:
-    return [
+    """The sleeves' ways, and on that of the new gear's a mark at each abort."""
+    lines = [
         _line(SLEEVE, sleeve.name.lower().replace("_", "/"), shift.points(SLEEVE_NAME[sleeve]),
               PURPLE if dash == "solid" else GREY, width=2, dash=dash)
         for sleeve, dash in sleeves.items()
     ]  # fmt: skip
+    aborts = shift.aborts_on(SLEEVE_NAME[next(iter(sleeves))])
+    return [*lines, _marker(SLEEVE, "aborted", aborts, good=False)]
 
 
 def _phases(shift: ReportShift, gear: str, ratio: float) -> list[Figure]:

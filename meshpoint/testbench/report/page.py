@@ -92,7 +92,7 @@ SUMMARY_HEAD: Final[list[Cell]] = [("shifts", ""), ("strategy", "")] + [
     (name, NUMBER_CLASS)
     for name in (
         "engaged", "into the gap", "95 % interval", "phase error RMS, deg", "mean duration, ms",
-        "mean impact, J",
+        "with an abort", "mean impact, J",
     )
 ]  # fmt: skip
 
@@ -131,7 +131,7 @@ SHIFT_HEAD: Final = [
     ("contact", ""), ("phase error, % of pitch", NUMBER_CLASS), ("predicted ± sd, %", NUMBER_CLASS),
     ("slip, rpm", NUMBER_CLASS), ("valve to contact, ms", NUMBER_CLASS),
     ("duration, ms", NUMBER_CLASS), ("speed lost, km/h", NUMBER_CLASS),
-    ("attempts", NUMBER_CLASS), ("result", ""),
+    ("attempts", NUMBER_CLASS), ("aborts", NUMBER_CLASS), ("result", ""),
 ]  # fmt: skip
 
 
@@ -168,6 +168,7 @@ def _shift_cells(row: ShiftRow) -> list[Cell]:
         number_cell(row.duration_ms, 0),
         number_cell(row.speed_lost_kmh, 1),
         (str(row.attempts), NUMBER_CLASS),
+        (str(row.aborts), NUMBER_CLASS),
         (result, ""),
     ]
 

@@ -79,6 +79,12 @@ def _pressure(axis: Any, shift: ReportShift, gear: str) -> None:
 
 def _sleeve(axis: Any, shift: ReportShift, name: str, sheet: GearboxSheet) -> None:
     _line(axis, shift.points(name), color="tab:purple")
+    _line(
+        axis, shift.aborts_on(name), ls="none", marker="X", ms=8, mec="black", color="tab:red",
+        label="aborted",
+    )  # fmt: skip
+    if shift.aborted_ms:
+        axis.legend(loc="upper left", fontsize="small")
     for side in (-1e3, 1e3):
         axis.axhline(side * sheet.sleeve.to_contact_m, color="grey", lw=0.8, ls="--")
     axis.set_ylabel("sleeve, mm\n(dashed: contact)")

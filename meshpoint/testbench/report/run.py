@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.html import NUMBER_CLASS, Cell
+from meshpoint.testbench.results.aborts import aborts_words
 from meshpoint.units import DEG, RPM
 
 
@@ -61,12 +62,15 @@ def account(shift: ReportShift) -> list[list[str]]:
         seen = _text(to_pct * outcome.estimated_phase_rad / DEG, signed=True)
     true_pct = None if shift.contact_phase_deg is None else to_pct * shift.contact_phase_deg
     slip = outcome.predicted_slip_rad_s / RPM if fired else None
-    return [
+    rows = [
         ["contact, ms after the request", _text(predicted_ms), _text(measured_ms),
          _text(shift.contact_ms)],
         ["phase at contact, % of pitch", predicted, seen, _text(true_pct, signed=True)],
         ["slip at contact, rpm", _text(slip, signed=True), "–", _text(row.slip_rpm, signed=True)],
     ]  # fmt: skip
+    if row.aborts:
+        rows.append(["aborted", "–", aborts_words(row.aborts, row.halt_mm), "–"])
+    return rows
 
 
 def _text(value: float | None, signed: bool = False) -> str:

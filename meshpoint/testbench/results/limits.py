@@ -24,6 +24,8 @@ MEANINGS: Final = {
     "duration_ms_max": "longest of the engaged shifts",
     "phase_error_rms_deg": "RMS phase error at first contact, of the shifts with a known reference",
     "attempts_max": "most attempts of a shift",
+    "aborted": "share of shifts whose sleeve was stopped short of the teeth, once or more",
+    "aborts_max": "most such aborts of a shift",
     "blocked": "attempts in which sleeve and gear stuck tooth on tooth",
     "ratchets": "times a flank threw the sleeve back",
     "impact_j_max": "most energy lost in flank impacts of a shift",
@@ -96,6 +98,8 @@ def figures(summary: Summary, rows: Sequence[ShiftRow]) -> Mapping[str, float | 
         "duration_ms_max": max(engaged, default=None),
         "phase_error_rms_deg": summary.phase_error_rms_deg,
         "attempts_max": max((row.attempts for row in rows), default=None),
+        "aborted": summary.aborted / len(rows) if rows else None,
+        "aborts_max": max((row.aborts for row in rows), default=None),
         "blocked": sum(row.blocked for row in rows) if rows else None,
         "ratchets": sum(row.ratchets for row in rows) if rows else None,
         "impact_j_max": max((row.impact_j for row in rows), default=None),
@@ -125,12 +129,14 @@ def markdown(
     for name, found in figures(summary, rows).items():
         lines.append(f"| `{name}` | {'none' if found is None else f'{found:.6g}'} |")
     lines += ["", f"{len(rows)} shifts, {summary.known} of them with a known phase reference.", ""]
-    lines += ["| shift | strategy | reference | contact | ms | phase error, deg | result |"]
-    lines += ["|---|---|---|---|---|---|---|"]
+    lines += [
+        "| shift | strategy | reference | contact | ms | phase error, deg | aborts | result |"
+    ]
+    lines += ["|---|---|---|---|---|---|---|---|"]
     for row in rows:
         error = "" if row.phase_error_deg is None else f"{row.phase_error_deg:+.2f}"
         lines.append(
             f"| {row.from_} to {row.to} | {row.strategy} | {row.reference} | {row.contact or ''} "
-            f"| {row.duration_ms:.0f} | {error} | {row.result} |"
+            f"| {row.duration_ms:.0f} | {error} | {row.aborts} | {row.result} |"
         )
     return "\n".join(lines) + "\n"

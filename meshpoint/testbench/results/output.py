@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from meshpoint.testbench.results.rows import ShiftRow
 
 WIDTH_WITHOUT_TERMINAL = 130
+TRIES = "tries/\naborts"
+"""The header over `tries`."""
 SHIFT_COLUMNS = (
     "from", "to", "strategy", "reference", "duration\nms", "slip\nrpm", "phase\nerror\ndeg",
-    "% of\npitch", "contact", "tries", "result",
+    "% of\npitch", "contact", TRIES, "result",
 )  # fmt: skip
 
 
@@ -170,6 +172,11 @@ def number(value: float | None, digits: int, signed: bool = False) -> str:
     return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
 
 
+def tries(attempts: int, aborts: int) -> str:
+    """How often a sleeve was fired, and behind a stroke how often it was aborted, if it was."""
+    return f"{attempts}/{aborts}" if aborts else str(attempts)
+
+
 def cells(row: ShiftRow) -> list[str | Text]:
     """A row as the table shows it."""
     words: dict[str | None, str | Text] = {
@@ -187,7 +194,7 @@ def cells(row: ShiftRow) -> list[str | Text]:
         number(row.phase_error_deg, 2, signed=True),
         number(row.phase_error_pct_of_pitch, 1, signed=True),
         words[row.contact],
-        str(row.attempts),
+        tries(row.attempts, row.aborts),
         row.result,
     ]
 

@@ -24,7 +24,9 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.results.aborts import halt_mm
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
+from meshpoint.testbench.results.shift_figures import ShiftFigures
 from meshpoint.testbench.results.shift_parts import ShiftParts, closing_since_us, parts_of
 from meshpoint.units import DEG, RPM
 
@@ -34,46 +36,29 @@ SOURCES: Final = ("measured", "restored", "narrowed")
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
 
 
-@dataclass(frozen=True)
-class ShiftRow:
+@dataclass(frozen=True, kw_only=True)
+class ShiftRow(ShiftFigures):
     """One shift. Phase error and slip are the rig's truth at first contact; else None."""
 
     from_: int
+    """The old gear."""
     to: int
-    strategy: str
+    """The gear asked for."""
     reference: str
-    result: str
+    """Whether the gear's phase reference was known when the sleeve was fired."""
     duration_ms: float
-    slip_rpm: float | None
-    phase_error_deg: float | None
-    pitch_deg: float
-    contact: str | None
-    attempts: int
-    predicted_phase_deg: float | None
-    predicted_phase_sd_deg: float | None
-    delay_ms: float | None
-    """From activation to contact, by the rig's truth."""
+    """From request to outcome."""
     request_us: int
+    """When it was asked for, by the sensor clock, as the next two."""
     contact_us: int | None
+    """First contact, by the rig's truth."""
     end_us: int
-    fault: str
-    impact_j: float = 0.0
-    """Lost in flank impacts until the gear was locked, all attempts; 0 in the preset thesis."""
-    face_ms: float = 0.0
-    """Tooth on tooth, all attempts."""
-    ratchets: int = 0
-    """Times a flank threw the sleeve back."""
-    blocked: int = 0
-    """Attempts in which sleeve and gear stuck tooth on tooth."""
+    """When it was engaged or given up."""
     speed_lost_kmh: float | None = None
     """Road speed at the request less that at the end, by the rig's truth (thesis 1.2); None in the
     preset thesis, which has no vehicle."""
-    reference_source: str = "none"
-    """Where a known reference came from: measured, restored or narrowed."""
     phases: ShiftParts = field(default_factory=ShiftParts)
     """Where the time went, by the rig's truth."""
-    bound_ms: float | None = None
-    """The kinematic bound; None where there is none, or what was drawn for the rig is not known."""
 
     @property
     def phase_error_pct_of_pitch(self) -> float | None:
@@ -185,6 +170,8 @@ class RowCollector:
             reference_source=outcome.reference_source.name.lower(),
             phases=parts,
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
+            aborts=outcome.aborts,
+            halt_mm=halt_mm(outcome),
         )
 
 
@@ -228,6 +215,10 @@ class Summary:
     gap: int
     gap_known: int
     engaged: int
+    aborted: int
+    """Shifts whose sleeve was stopped short of the teeth, once or more."""
+    aborts: int
+    """How often, in all of them."""
     mean_duration_ms: float | None
     phase_error_rms_deg: float | None
     """Over the shifts with a known reference; None without any."""
@@ -273,6 +264,8 @@ def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
         gap=sum(row.contact == "gap" for row in rows),
         gap_known=sum(row.contact == "gap" for row in known),
         engaged=sum(row.result == "engaged" for row in rows),
+        aborted=sum(row.aborts > 0 for row in rows),
+        aborts=sum(row.aborts for row in rows),
         mean_duration_ms=sum(durations) / len(durations) if durations else None,
         phase_error_rms_deg=(
             math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.calibration.learned import BrakeRecord, Calibration, WheelRecord
-from meshpoint.controller.planning.sleeve_delay import PRIOR_SAMPLES
+from meshpoint.controller.sleeve.contact_chance import PRIOR_SAMPLES
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.tables import to_table

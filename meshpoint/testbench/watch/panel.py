@@ -10,7 +10,7 @@ from typing import Final
 from rich.text import Text
 
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (
@@ -18,7 +18,6 @@ from meshpoint.dbc.messages import (
     ETC1,
     TC1,
     ControllerEstimates,
-    ControllerState,
     ControllerStatus,
     FaultCode,
     GearboxSensors,
@@ -34,6 +33,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import CONTACT_KINDS
+from meshpoint.testbench.results.states import state_words
 from meshpoint.testbench.watch.heard import Heard
 from meshpoint.testbench.watch.story import CYCLIC, Line, Story
 from meshpoint.units import BAR, DEG, RPM
@@ -58,7 +58,6 @@ SHORT: Final = {
 }
 REPORTED: Final = ("driver", "controller", "truth", "bus", "bench")
 """Whose lines are shown: valves have a row of their own."""
-STATE_WORDS: Final = {state: state.name.lower().replace("_", " ") for state in ControllerState}
 
 
 class Panel:
@@ -134,7 +133,7 @@ class Panel:
         text.append("N" if gear == 0 else str(gear) if gear > 0 else "?", style="bold reverse")
         if status.target_gear not in (gear, -1):
             text.append(f" -> {status.target_gear}", style="bold")
-        text.append(f"  {STATE_WORDS[status.state]}  ")
+        text.append(f"  {state_words(status.state)}  ")
         text.append(f"{status.strategy.name.lower()}  ", style="dim")
         if status.active_fault is not FaultCode.NONE:
             text.append(status.active_fault.name.lower(), style="bold red")

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.shift.table import NEUTRAL_WANTED
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (
@@ -36,6 +37,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.testbench.results.aborts import aborts_words, halt_mm
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.watch.heard import Heard
@@ -51,6 +53,7 @@ STATES: Final = {
     ControllerState.SYNCHRONISING: "out of gear: brings the layshaft to the new gear's speed",
     ControllerState.COASTING: "brake released: the speeds close by themselves",
     ControllerState.ENGAGING: "the sleeve is on its way",
+    ControllerState.HALTED: "the sleeve would meet a tooth: stops it before the teeth",
     ControllerState.RETRACTING: "takes the sleeve back, to try again",
     ControllerState.CLUTCH_CLOSING: "closes the clutch",
     ControllerState.STEPS_CHANGING: "changes splitter or range",
@@ -227,7 +230,7 @@ class Story:
         if message.step_number < before.step_number:
             self._tell("controller", "has started anew")
         if message.state is not before.state and message.state not in BY_CLUTCH:
-            self._tell("controller", STATES[message.state])
+            self._tell("controller", _entered(before.state, message.state))
         if message.active_fault is not before.active_fault:
             ended = message.active_fault is FaultCode.NONE
             self._tell("controller", "no fault any more" if ended else _fault(message.active_fault))
@@ -258,6 +261,8 @@ class Story:
             took_ms = span_us(message.end_time_us, message.request_time_us) / 1000
             words += f": {took_ms:.0f} ms, {message.attempts} firing"
             words += "" if message.attempts == 1 else "s"
+            if message.aborts:
+                words += f", aborted {aborts_words(message.aborts, halt_mm(message))}"
             known = message.reference is PhaseReference.KNOWN
             words += ", aimed" if known else ", phase reference not known yet"
         if message.fault is not FaultCode.NONE:
@@ -322,6 +327,13 @@ def _of(sender: Node, names: list[str]) -> str:
     if len(names) == 1:
         return f"{names[0]} is"
     return f"{len(names)} messages of {sender} are"
+
+
+def _entered(before: ControllerState, state: ControllerState) -> str:
+    """What it does in a state, by the state that it comes from."""
+    if state is ControllerState.DISENGAGING and before in NEUTRAL_WANTED:
+        return "a sleeve has left neutral: brings it back"
+    return STATES[state]
 
 
 def _fault(code: FaultCode) -> str:

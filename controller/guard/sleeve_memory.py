@@ -1,0 +1,51 @@
+"""What the guard keeps of the main sleeves: how each was driven since it stood last, from where it
+was set going, and since when it stands before a gear's teeth."""
+
+from __future__ import annotations
+
+from meshpoint.controller.guard.case import MAIN_VALVES, Case, GuardState
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, GuardLimits
+from meshpoint.controller.guard.view import GuardInputs
+
+
+def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> None:
+    """Before a command is judged: which main sleeves stand, and which of them between neutral and a
+    gear. A time of another clock is taken to be now."""
+    now_us = seen.now_us
+    if seen.clock_is_new:
+        state.before_teeth_us = dict.fromkeys(state.before_teeth_us, now_us)
+        state.drives = {valve: each.ending_at(now_us) for valve, each in state.drives.items()}
+    if not seen.valid:
+        return
+    for sleeve in (0, 1):
+        mine = limits.valves_of(sleeve)
+        ends_us = [state.drives[valve].end_us for valve in mine if valve in state.drives]
+        is_shut = all(
+            seen.positions_us >= end_us + limits.valve_between_us[1] for end_us in ends_us
+        )
+        if is_shut and abs(seen.means_m_s[sleeve]) < LEAVING_M_S:
+            for valve in mine:
+                drive = state.drives.pop(valve, None)
+                way_m = seen.positions_m[sleeve] * limits.main[valve].direction
+                if drive is not None and drive.pulls and way_m <= GUARD_NEUTRAL_M:
+                    longest_us = max(drive.driven_us, state.withstood_us.get(valve, 0))
+                    state.withstood_us[valve] = longest_us
+        if not GUARD_NEUTRAL_M < abs(seen.positions_m[sleeve]) <= limits.contact_m:
+            state.before_teeth_us.pop(sleeve, None)
+        elif not any(state.spans[valve] for valve in mine):
+            state.before_teeth_us.setdefault(sleeve, now_us)
+
+
+def remember_drives(case: Case) -> None:
+    """Once a command has passed: which main valves have gone off, and from where those that are on
+    set their sleeves going."""
+    state, stood_m = case.state, {}
+    for valve in MAIN_VALVES:
+        span, way_m = case.spans[valve], case.way_m(valve)
+        if span is not None:
+            known_m = state.stood_m.get(valve, way_m)
+            stood_m[valve] = way_m if case.has_not_set_off(span) else known_m
+        if (drive := case.drive_before(valve)) is not None:
+            state.drives[valve] = drive
+    state.stood_m = stood_m
+    state.engages = frozenset(valve for valve, _ in case.engaging())

@@ -1,0 +1,408 @@
+"""The room's one door: what the rest of the controller asks and says of the main sleeves."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from meshpoint.controller.calibration.learned import (
+    SleeveLawRecord,
+    SleeveLawRecords,
+    SleeveRecord,
+    SleeveRecords,
+)
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
+from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
+from meshpoint.controller.sleeve.cylinder import ON
+from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
+from meshpoint.controller.sleeve.law import SleeveLaw
+from meshpoint.controller.sleeve.law_figures import LawFigures, law_figures
+from meshpoint.controller.sleeve.law_record import known_from, law_record
+from meshpoint.controller.sleeve.motion import Switch
+from meshpoint.controller.sleeve.stopping import (
+    LONGEST_PULSE_US,
+    aborted,
+    halted,
+    latest_abort_us,
+    latest_from_neutral_us,
+    stops,
+)
+from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
+from meshpoint.controller.sleeve.to_rest import (
+    NEAR_NEUTRAL_M,
+    pulse_of,
+    pulse_to_neutral_us,
+    rests_at_m,
+)
+from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
+from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
+from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.units import SECOND_US, US
+
+PLACE_STEP_M: Final = 1e-5
+SUPPLY_STEP_PA: Final = 1e3
+"""A stroke from rest is worked out anew for another place or supply pressure of this size."""
+ABORT_SUPPLY_PA: Final = 2e4
+"""The last abort is worked out anew where the supply has changed by so much."""
+A_LITTLE_US: Final = 2_000
+"""A pulse towards neutral is longer by no more than this than the last one that the sleeve has
+withstood, whatever the law says: a pulse too long throws it through, and torque on the teeth may
+have taught the law."""
+LONGER_US: Final = 4_000
+"""By so much longer is a gear pulled for each pull of this shift that has left it in."""
+FIRST_SHARE: Final = 0.7
+TAUGHT: Final = 10
+"""The first one is no longer than the data sheet's sleeve takes. As long as the law was learned
+from fewer movements than these, it is no longer than this share of it, and no later pull is longer
+than one that has brought the sleeve out of the gear: the rest of the way it is pushed."""
+SURE_SDS: Final = 3.0
+"""A pulse towards neutral throws no sleeve through where its valve makes it longer by this many
+standard deviations."""
+RUN_ON_SHARE: Final = 0.5
+CLEAR_M: Final = 1.0e-3
+REACT_US: Final = 15_000
+"""The guard takes a longer pulse for a firing, but for one that the next command ends: see
+docs/guard.md, "A pulse stops short". It goes by half of this clearance; the rest is what its
+position sensor may be wrong by."""
+LEAST_SUPPLY_SHARE: Final = 0.1
+
+
+class Side(NamedTuple):
+    """A gear's side of its sleeve."""
+
+    sleeve: Sleeve
+    direction: int
+    valve: int
+    """The valve that pushes there: 0 towards +x, 1 towards -x."""
+
+
+_SIDES: Final = {
+    gear: Side(side.sleeve, side.direction, valve_towards(side.direction))
+    for gear, side in SLEEVE_OF_MAIN.items()
+}
+_OF_VALVE: Final = {SLEEVE_VALVE[gear]: _SIDES[gear] for gear in MAIN_GEARS}
+_GEAR_AT: Final = {(side.sleeve, side.direction): gear for gear, side in _SIDES.items()}
+_VALVES: Final = {(side.sleeve, side.valve): name for name, side in _OF_VALVE.items()}
+
+
+class Sleeves:
+    """The main sleeves of a gearbox, each a mass between two chambers."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._law = SleeveLaw(sheet)
+        prior = self._law.prior(sheet)
+        sleeve = sheet.sleeve
+        self._least_s = sleeve.valve_delay_s
+        way_s = (sleeve.stroke_m - sleeve.to_contact_m) / sleeve.speed_m_s
+        self._least_out_us = SECOND_US * max(0.0, way_s - sleeve.delay_limit_s)
+        """A gear's teeth are out no sooner after its sleeve begins to move, by the data sheet: the
+        guard goes by it too."""
+        self._valve_us = SECOND_US * sleeve.valve_delay_s
+        self._least_stroke_us = SECOND_US * (sleeve.delay_s - sleeve.delay_limit_s) - self._valve_us
+        """From the valve's opening to contact from neutral, by the data sheet."""
+        self._now_us = 0
+        self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
+        self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
+        """By gear: for what it was worked out, and so long after a firing the last abort comes."""
+        self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
+        self.supply_pa = self._law.sheet_pa
+        self._chances = {gear: ContactChance(sheet.sleeve) for gear in MAIN_GEARS}
+        self._neutral_sd_s = {gear: self._law_sd_s(gear) for gear in MAIN_GEARS}
+        """Deviation of the contact from neutral by what is known of the law, no chance in it."""
+        self.contacts: dict[MainGear, Contact] = {}
+        """The newest contact with each gear."""
+        self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
+        self._tell_scatter()
+        self._unlearned = DrivenSleeve(self._law, prior)
+
+    def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
+        """A main valve's coil switches then (known in advance, or since); this replaces what was
+        still to come of that valve. Other valves are none of this room's."""
+        side = _OF_VALVE.get(valve)
+        if side is not None:
+            self._sleeves[side.sleeve].commanded(side.valve, on, time_us, self._now_us)
+
+    def expected(self, valve: ValveName, switches: list[tuple[int, bool]]) -> None:
+        """A main valve's coil switches then (time, on), in this order, and not otherwise. Said once
+        or in each step."""
+        side = _OF_VALVE.get(valve)
+        if side is not None and switches != self._expected.get(valve):
+            self._expected[valve] = switches
+            self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
+
+    def withdrawn(self, valve: ValveName, now_us: int) -> None:
+        """A switch still to come does not come."""
+        side = _OF_VALVE.get(valve)
+        if side is not None:
+            self._sleeves[side.sleeve].withdrawn(side.valve, now_us)
+
+    def take(self, view: GearboxView, now_us: int) -> None:
+        """Each step: the newest position samples. Where a movement is over, it is learned from."""
+        self._now_us = now_us
+        for sleeve, tracked in self._sleeves.items():
+            track = view.tracks.get(sleeve)
+            if track is None:
+                continue
+            before = tracked.contact
+            tracked.take(track)
+            if tracked.contact is not None and tracked.contact is not before:
+                self._learn_contact(_GEAR_AT[sleeve, tracked.contact.direction], tracked.contact)
+
+    def _learn_contact(self, gear: MainGear, contact: Contact) -> None:
+        self.contacts[gear] = contact
+        if self._chances[gear].learn(contact, self._neutral_sd_s[gear]):
+            self._neutral_sd_s[gear] = self._law_sd_s(gear)
+            self._tell_scatter()
+
+    def _tell_scatter(self) -> None:
+        self._from_rest.clear()
+        self._abort_after.clear()
+        for gear, side in _SIDES.items():
+            self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
+
+    def contact_us(self, gear: MainGear, fired_us: int) -> float | None:
+        """When the sleeve that was fired then came to this gear's teeth, as measured; None before
+        it did."""
+        side = _SIDES[gear]
+        met_us = self._sleeves[side.sleeve].met_us.get(side.direction)
+        return met_us if met_us is not None and met_us > fired_us else None
+
+    @property
+    def supply_pa(self) -> float:
+        """Present supply pressure, gauge."""
+        return self._supply_pa
+
+    @supply_pa.setter
+    def supply_pa(self, gauge_pa: float) -> None:
+        self._supply_pa = max(gauge_pa, LEAST_SUPPLY_SHARE * self._law.sheet_pa)
+        for tracked in self._sleeves.values():
+            tracked.supply_pa = self._supply_pa
+
+    def place(self, sleeve: Sleeve, at_us: int) -> Place:
+        """Where a sleeve is then, by the law and the commands so far."""
+        way = self._sleeves[sleeve].at(at_us)
+        return Place(way.m, way.end_m_s, way.end_m_s != 0.0)
+
+    def passes_us(self, sleeve: Sleeve, level_m: float, direction: int) -> float | None:
+        """When a sleeve comes by a place in this direction, by the commands so far; None where it
+        does not get there."""
+        until_us = self._now_us + LONGEST_US
+        return self._sleeves[sleeve].to_level(direction, level_m, until_us).crossed_us
+
+    def stroke(self, gear: MainGear, fire_us: int) -> Stroke:
+        """The contact, if the valve towards the gear switches on then, from where the sleeve is
+        then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        return self._stroke(gear, tracked, tracked.fired(side.direction, fire_us))
+
+    def stroke_after(self, gear: MainGear, halt: Halt, fire_us: int) -> Stroke:
+        """The contact, if a sleeve on its way to this gear is stopped so, and fired again then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        pulse_us = halt.off_us - halt.at_us
+        stopped = aborted(tracked.switches, side.direction, halt.at_us, pulse_us)
+        return self._stroke(gear, tracked, [*stopped, Switch(fire_us, side.valve, True)])
+
+    def from_neutral(self, gear: MainGear) -> Stroke:
+        """A stroke from neutral at the present supply pressure: `contact_us` is its delay."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve].at_rest(0.0)
+        return self._stroke(gear, tracked, [Switch(0, side.valve, True)])
+
+    def from_rest(self, gear: MainGear) -> Stroke:
+        """The same from where the sleeve stands, or stood before it moved; from neutral, where that
+        is in a gear."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        rest_m = tracked.place_of(tracked.rest_m)
+        if abs(rest_m) >= self._law.face_m:
+            rest_m = 0.0
+        key = (
+            tracked.version,
+            round(rest_m / PLACE_STEP_M),
+            round(self._supply_pa / SUPPLY_STEP_PA),
+        )
+        known = self._from_rest.get(gear)
+        if known is None or known[0] != key:
+            switches = [Switch(0, side.valve, True)]
+            known = key, self._stroke(gear, tracked.at_rest(rest_m), switches)
+            self._from_rest[gear] = known
+        return known[1]
+
+    def _stroke(self, gear: MainGear, tracked: DrivenSleeve, switches: list[Switch]) -> Stroke:
+        side, chance = _SIDES[gear], self._chances[gear]
+        way = to_contact(tracked, side.direction, switches)
+        if way.crossed_us is None:
+            last_us = max((one.time_us for one in switches), default=tracked.start.time_us)
+            return Stroke(last_us + LONGEST_US, SECOND_US * FAR_S, chance.freedom, 0.0)
+        way_share = abs(side.direction * self._law.face_m - tracked.start.state[0])
+        bias_s = chance.bias_s * min(1.0, way_share / self._law.face_m)
+        sd_s = contact_sd_s(tracked, side.direction, switches, way.crossed_us)
+        contact_us = round(way.crossed_us + SECOND_US * bias_s)
+        return Stroke(contact_us, SECOND_US * sd_s, chance.freedom, way.speed_m_s)
+
+    def _law_sd_s(self, gear: MainGear) -> float:
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve].at_rest(0.0)
+        switches = [Switch(0, side.valve, True)]
+        tracked.switch_sd_s = [0.0, 0.0]
+        crossed_us = to_contact(tracked, side.direction, switches).crossed_us
+        contact_us = LONGEST_US if crossed_us is None else crossed_us
+        return contact_sd_s(tracked, side.direction, switches, contact_us)
+
+    def last_abort_us(self, gear: MainGear, fire_us: int) -> int | None:
+        """The latest "driving valve off, opposite one on" (coils) at which a sleeve fired at
+        `fire_us` still stops short of the teeth by the margin. None where it cannot be stopped any
+        more, or stands already."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        fired = tracked.fired(side.direction, fire_us)
+        contact_us = to_contact(tracked, side.direction, fired).crossed_us
+        if contact_us is None:
+            return None
+        earliest_us = max(fire_us, self._now_us)
+        return latest_abort_us(tracked, side.direction, fired, earliest_us, int(contact_us))
+
+    def stops(self, gear: MainGear, fire_us: int, at_us: int) -> bool:
+        """Whether a sleeve fired at `fire_us` stops short of the teeth by the margin, if it is
+        aborted then."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        return stops(tracked, side.direction, tracked.fired(side.direction, fire_us), at_us)
+
+    def abort_after_us(self, gear: MainGear) -> int:
+        """So long after a firing from neutral the sleeve can last be stopped short of the teeth."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
+        found = self._abort_after.get(gear)
+        if found is None or found[0] != known:
+            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
+            found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
+        return found[1]
+
+    def abort(self, gear: MainGear, at_us: int) -> Halt:
+        """How a sleeve on its way to this gear is stopped from then on, and where it will stand."""
+        side = _SIDES[gear]
+        return halted(self._sleeves[side.sleeve], side.direction, at_us)
+
+    def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
+        """The pulse that brings a sleeve to rest in neutral: towards neutral where it stands before
+        the teeth or between unloaded ones, against its motion where it would fly past. None where
+        it comes to rest there by itself, moves otherwise than the law says, or falls short and does
+        not stand yet: two pulses in a row could throw it to the other gear."""
+        tracked = self._sleeves[sleeve]
+        # One that stands stays, whatever pull of its detent the law takes it for.
+        stands, stands_m = tracked.stands, tracked.place_of(tracked.rest_m)
+        rests_m = stands_m if stands else rests_at_m(tracked, at_us)
+        direction = 1 if rests_m < 0.0 else -1
+        place = self.place(sleeve, at_us)
+        if abs(rests_m) < NEAR_NEUTRAL_M:
+            return None
+        if stands:
+            most_us = self._withstands_us(sleeve, direction, stands_m)
+            return self._pulse(sleeve, at_us, direction, most_us)
+        flies_past = place.is_moving and direction * place.speed_m_s < 0.0
+        if not flies_past or tracked.is_off_its_law:
+            return None
+        # A longer pulse does not brake any more: it would set the sleeve going the other way.
+        return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US, sure_sds=0.0)
+
+    def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
+        """From a valve's current until the sleeve that it pulls begins to move, as expected, and
+        until the teeth that part then may be out, at the earliest. Those of splitter and range,
+        which are none of this room's, part as their sleeve moves."""
+        side = None if valve is None else _OF_VALVE.get(valve)
+        if side is None:
+            return self._valve_us, self._valve_us
+        moves_us = SECOND_US * float(self._sleeves[side.sleeve].known.mean[ON + side.valve])
+        return moves_us, self._valve_us + self._least_out_us
+
+    def rests(self, gear: MainGear) -> bool:
+        """Whether a gear's sleeve stands, and what its last movement showed has been learned."""
+        return self._sleeves[_SIDES[gear].sleeve].rests
+
+    def pull_out(self, gear: MainGear, on_us: int, in_vain: int = 0) -> Pulse:
+        """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral: a longer
+        one for each pull in vain, a shorter one where that may throw it through."""
+        side = _SIDES[gear]
+        from_m = side.direction * self._law.stroke_m
+        longer_us = in_vain * LONGER_US
+        most_us = self._withstands_us(side.sleeve, -side.direction, from_m, longer_us)
+        return self._pulse(side.sleeve, on_us, -side.direction, most_us, longer_us)
+
+    def _withstands_us(
+        self, sleeve: Sleeve, direction: int, from_m: float, longer_us: int = 0
+    ) -> int:
+        """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
+        In its gear and out of it are two things: torque on the teeth holds it there."""
+        withstood_us = self._sleeves[sleeve].withstood_us
+        in_gear = abs(from_m) > self._law.in_gear_m
+        before_us = withstood_us.get((direction, in_gear), 0)
+        by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0)
+        clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
+        bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
+        is_taught = self._sleeves[sleeve].movements >= TAUGHT
+        first_us = min(by_law_us, max(bound_us, REACT_US)) * (1.0 if is_taught else FIRST_SHARE)
+        more_us = A_LITTLE_US if is_taught or not in_gear else 0
+        return max(int(first_us) + longer_us, before_us + more_us)
+
+    def _pulse(
+        self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0,
+        sure_sds: float = SURE_SDS,
+    ) -> Pulse:  # fmt: skip
+        tracked = self._sleeves[sleeve]
+        by_law_us = pulse_to_neutral_us(tracked, direction, on_us, sure_sds)
+        long_us = min(most_us, by_law_us + longer_us)
+        rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
+        return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
+
+    def records(self) -> SleeveRecords:
+        """What a calibration file keeps of the gears whose contacts have been seen."""
+        supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
+        gears = {
+            gear.name.lower(): SleeveRecord(
+                delay_s=max(self.from_neutral(gear).contact_us * US, self._least_s),
+                samples=chance.weight,
+                scatter_s=chance.scatter_s,
+                scatter_samples=chance.freedom,
+            )
+            for gear, chance in self._chances.items()
+            if chance.samples > 0
+        }
+        self.supply_pa = supply_pa
+        return SleeveRecords(**gears)
+
+    def laws(self) -> SleeveLawRecords:
+        """What it keeps of the sleeves whose law was learned."""
+        laws = {
+            sleeve.name.lower(): law_record(tracked.known, tracked.movements)
+            for sleeve, tracked in self._sleeves.items()
+            if tracked.movements > 0
+        }
+        return SleeveLawRecords(**laws)
+
+    def law_figures(self, gear: MainGear) -> LawFigures:
+        """What is known of the law by which the sleeve goes to this gear."""
+        side = _SIDES[gear]
+        tracked = self._sleeves[side.sleeve]
+        return law_figures(tracked.at_rest(0.0), side.direction, tracked.movements)
+
+    def restore(self, records: SleeveRecords, laws: SleeveLawRecords) -> None:
+        """Goes on from records; what is without one stays as the data sheet says."""
+        for sleeve, tracked in self._sleeves.items():
+            law: SleeveLawRecord | None = getattr(laws, sleeve.name.lower())
+            if law is not None:
+                tracked.know(known_from(law))
+                tracked.movements = law.movements
+        supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
+        for gear, chance in self._chances.items():
+            record = records.of(gear)
+            if record is not None:
+                bias_s = record.delay_s - self.from_neutral(gear).contact_us * US
+                chance.set(bias_s, record.samples, record.scatter_s, record.scatter_samples)
+                self._neutral_sd_s[gear] = self._law_sd_s(gear)
+        self.supply_pa = supply_pa
+        self._tell_scatter()

@@ -1,0 +1,54 @@
+"""What is known of one shift wherever shifts are listed: the one list of these figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+NO_OUTCOME: Final = "no_outcome"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftFigures:
+    """Figures that a shift's row (`--json`, `bench.shift`, `Log.shifts`) and a campaign's table
+    have alike; the unit ends the name. Defaults are those of a shift without an outcome."""
+
+    strategy: str
+    """In a row the strategy that acted, in a campaign's table the one that was asked for."""
+    result: str = NO_OUTCOME
+    """How it ended."""
+    fault: str = "none"
+    """Why it failed."""
+    reference_source: str = "none"
+    """Where a known reference came from: measured, restored or narrowed."""
+    contact: str | None = None
+    """What the tooth met first, by the rig's truth: gap or tooth; None without a contact."""
+    slip_rpm: float | None = None
+    """At first contact, by the rig's truth; positive: the gear turns faster than its sleeve."""
+    phase_error_deg: float | None = None
+    """At first contact, by the rig's truth, from where was aimed at."""
+    pitch_deg: float
+    """From one dog tooth to the next."""
+    predicted_phase_deg: float | None = None
+    """At contact, as predicted when the sleeve was fired."""
+    predicted_phase_sd_deg: float | None = None
+    """Its standard deviation."""
+    delay_ms: float | None = None
+    """From activation to contact, by the rig's truth; None after more than one attempt."""
+    attempts: int = 0
+    """Times a sleeve was fired; a firing that was recalled or aborted does not count."""
+    aborts: int = 0
+    """Times a sleeve on its way was stopped short of the teeth."""
+    halt_mm: float | None = None
+    """Where the sleeve stood after the last abort, from neutral, negative towards first and crawl;
+    None without one."""
+    impact_j: float = 0.0
+    """Lost in flank impacts until the gear was locked, all attempts; 0 in the preset thesis."""
+    face_ms: float = 0.0
+    """Tooth on tooth, all attempts."""
+    ratchets: int = 0
+    """Times a flank threw the sleeve back."""
+    blocked: int = 0
+    """Attempts in which sleeve and gear stuck tooth on tooth."""
+    bound_ms: float | None = None
+    """The kinematic bound; None where there is none, or what was drawn for the rig is not known."""

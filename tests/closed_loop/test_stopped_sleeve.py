@@ -1,0 +1,61 @@
+"""A sleeve that is stopped on its way, short of the teeth, and goes on from there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from meshpoint.controller.planning.strategies.target_phase import TargetPhase
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.draw import draw, upshifts
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.results.rows import ShiftRow
+
+LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
+"""Slip falls so slowly that another gap comes before the gear is too slow."""
+SEED = 18
+PLAIN = ControllerSettings()
+STANDS_MS = 150.0
+"""It stands before the teeth for no longer."""
+
+
+def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> ShiftRow:
+    """An aimed shift of a rigid gearbox whose firings are said, this many times, to meet a tooth,
+    and from then on to meet a gap."""
+    sheet = load_sheet("truck12")
+    drawn = draw(SEED, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
+    loop = ClosedLoop(sheet, PLAIN, Preset.TRUCK, drawn)
+    for _ in range(3):
+        loop.shift()
+    said = iter([True] * doubted)
+
+    def doubting(*_asked: Any) -> bool:
+        return next(said, False)
+
+    monkeypatch.setattr(TargetPhase, "is_to_go_back", doubting)
+    row = loop.shift()
+    monkeypatch.undo()
+    assert row is not None
+    assert (row.result, row.attempts) == ("engaged", 1)
+    return row
+
+
+def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_meets_the_next_gap(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plain, row = aimed_shift(monkeypatch, 0), aimed_shift(monkeypatch, 1)
+    assert (plain.aborts, row.aborts) == (0, 1)
+    assert (row.contact, row.ratchets, row.face_ms) == ("gap", 0, 0.0)
+    assert 0.0 < row.duration_ms - plain.duration_ms < STANDS_MS
+
+
+def test_a_sleeve_that_is_stopped_at_each_firing_comes_into_its_gear_in_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    row = aimed_shift(monkeypatch, 1_000)
+    assert row.aborts > 1
+    # What the stops cost in speed is raised again, and that has a limit of its own.
+    assert row.duration_ms < PLAIN.limits.synchronise_ms + PLAIN.limits.raise_ms

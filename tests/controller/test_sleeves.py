@@ -1,0 +1,125 @@
+"""The main sleeves by the data sheet: contact, abort in flight, return to neutral."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sleeve.driven import DrivenSleeve
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw
+from meshpoint.controller.sleeve.sleeves import SURE_SDS, Sleeves
+from meshpoint.controller.sleeve.to_rest import pulse_of, pulse_to_neutral_us, rests_at_m
+from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
+from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
+
+SHEET = load_sheet("truck12")
+NOW_US = 1_000_000
+FIRE_US = 1_020_000
+
+
+def at(sleeves: Sleeves, now_us: int) -> None:
+    """A step without new samples."""
+    sleeves.take(GearboxView(SHEET), now_us)
+
+
+@pytest.mark.parametrize("sheet_name", ["truck12", "thesis"])
+@pytest.mark.parametrize("gear", MAIN_GEARS)
+def test_from_neutral_a_stroke_takes_the_sheets_delay(sheet_name: str, gear: MainGear) -> None:
+    sheet = load_sheet(sheet_name)
+    stroke = Sleeves(sheet).stroke(gear, FIRE_US)
+    assert stroke.contact_us - FIRE_US == pytest.approx(1e6 * sheet.sleeve.delay_s, abs=20)
+    assert 1e3 * sheet.sleeve.valve_delay_tolerance_s < 1e-3 * stroke.sd_us < 5.0
+
+
+def test_more_air_makes_the_stroke_shorter_and_its_end_faster() -> None:
+    sleeves = Sleeves(SHEET)
+    usual = sleeves.stroke(MainGear.SECOND, FIRE_US)
+    sleeves.supply_pa = 1.2 * SHEET.air.supply_gauge_pa
+    more = sleeves.stroke(MainGear.SECOND, FIRE_US)
+    assert more.contact_us < usual.contact_us
+    assert more.contact_speed_m_s > usual.contact_speed_m_s
+
+
+@pytest.mark.parametrize("gear", MAIN_GEARS)
+def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_there(
+    gear: MainGear,
+) -> None:
+    """But for a tenth of a millimetre, by which its detent may move it on while the chambers
+    vent."""
+    sleeves, side = Sleeves(SHEET), SLEEVE_OF_MAIN[gear]
+    at(sleeves, NOW_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    at(sleeves, FIRE_US)
+    abort_us = sleeves.last_abort_us(gear, FIRE_US)
+    assert abort_us is not None
+    assert FIRE_US + 1e6 * SHEET.sleeve.valve_delay_s < abort_us
+    halt = sleeves.abort(gear, abort_us)
+    sleeves.commanded(SLEEVE_VALVE[gear], False, abort_us)
+    sleeves.commanded(OPPOSITE[gear], True, abort_us)
+    at(sleeves, abort_us)
+    sleeves.commanded(OPPOSITE[gear], False, halt.off_us)
+    stands = sleeves.place(side.sleeve, halt.off_us + 100_000)
+    assert not stands.is_moving
+    assert stands.m == pytest.approx(halt.m, abs=1e-4)
+    assert abs(stands.m) < SHEET.sleeve.to_contact_m
+    refire_us = halt.off_us + 100_000
+    again = sleeves.stroke(gear, refire_us)
+    assert again.contact_us - refire_us < 1e6 * SHEET.sleeve.delay_s
+    home = sleeves.to_neutral(side.sleeve, refire_us)
+    is_out = side.direction * stands.m > 1e-3  # the detent may have drawn it back
+    assert (home is not None) is is_out
+    assert home is None or (home.valve is OPPOSITE[gear] and abs(home.m) < 1e-3)
+
+
+def test_what_is_commanded_anew_replaces_what_was_still_to_come() -> None:
+    sleeves, gear = Sleeves(SHEET), MainGear.FIRST
+    at(sleeves, NOW_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US + 5_000)
+    sleeve = SLEEVE_OF_MAIN[gear].sleeve
+    assert not sleeves.place(sleeve, FIRE_US + 15_000).is_moving
+    sleeves.withdrawn(SLEEVE_VALVE[gear], NOW_US)
+    assert not sleeves.place(sleeve, FIRE_US + 40_000).is_moving
+
+
+def test_a_sleeve_in_neutral_needs_no_pulse() -> None:
+    sleeves = Sleeves(SHEET)
+    assert sleeves.to_neutral(SLEEVE_OF_MAIN[MainGear.FIRST].sleeve, NOW_US) is None
+
+
+def test_a_sleeve_that_flies_on_is_braked_and_not_sent_back() -> None:
+    """A pulse against its motion is as short as the guard asks of one that brakes: a longer one
+    would set the sleeve going the other way."""
+    sleeves, gear = Sleeves(SHEET), MainGear.SECOND
+    at(sleeves, NOW_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    at(sleeves, FIRE_US)
+    sleeves.commanded(SLEEVE_VALVE[gear], False, FIRE_US + 25_000)
+    at(sleeves, FIRE_US + 28_000)
+    braking = sleeves.to_neutral(SLEEVE_OF_MAIN[gear].sleeve, FIRE_US + 30_000)
+    assert braking is not None
+    assert braking.valve is OPPOSITE[gear]
+    assert 5_000 < braking.off_us - braking.on_us <= 15_000
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize("from_mm", [12.0, 4.0])
+def test_a_pulse_to_neutral_throws_no_sleeve_through_where_its_valve_shuts_late(
+    direction: int, from_mm: float
+) -> None:
+    """What falls short is pushed once more; what is thrown through may meet turning teeth."""
+    law = SleeveLaw(SHEET)
+    sheet = law.prior(SHEET)
+    known = Prior(sheet.mean, 0.04 * sheet.covariance)  # after some movements
+    sleeve = DrivenSleeve(law, known).at_rest(-direction * 1e-3 * from_mm)
+    sleeve.switch_sd_s = [1.6e-3, 1.6e-3]
+    long_us = pulse_to_neutral_us(sleeve, direction, NOW_US, SURE_SDS)
+    pulse = pulse_of(direction, NOW_US, long_us)
+    late_us = int(1e6 * SURE_SDS * math.hypot(*map(sleeve.sd_of, pulse)))
+    beyond_m = direction * rests_at_m(
+        sleeve, NOW_US, pulse_of(direction, NOW_US, long_us + late_us)
+    )
+    assert beyond_m < 1.1e-3  # its detent has it
