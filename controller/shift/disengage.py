@@ -84,7 +84,7 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
     if command.on and command.time_us <= snapshot.earliest_us < command.until_us:
         return  # under way
     is_ahead = command.on and command.time_us > snapshot.earliest_us
-    if is_ahead or _may_pull(context, snapshot):
+    if is_ahead or _may_pull(context, snapshot, gear):
         pulse = context.sleeves.pull_out(gear, unloaded_us, max(0, shift.pulls - 1))
         pulse = ends_in_time(context, snapshot, pulse)
         if is_ahead and unloaded_us <= command.time_us <= pulse.on_us:
@@ -107,11 +107,10 @@ def _rests_after_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return is_over and not is_under_way(context, snapshot)
 
 
-def _may_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+def _may_pull(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> bool:
     """Whether the gear is to be pulled, or pulled once more: torque on the teeth may have reversed
     since."""
-    gear = snapshot.view.main_gear
-    if gear is None or not (_rests_after_pull(context, snapshot) and context.sleeves.rests(gear)):
+    if not (_rests_after_pull(context, snapshot) and context.sleeves.rests(gear)):
         return False
     context.running.pulls += 1
     context.references.released()

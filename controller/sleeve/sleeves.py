@@ -341,7 +341,7 @@ class Sleeves:
         withstood_us = self._sleeves[sleeve].withstood_us
         in_gear = abs(from_m) > self._law.in_gear_m
         before_us = withstood_us.get((direction, in_gear), 0)
-        by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0)
+        by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0, 0.0)
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
         is_taught = self._sleeves[sleeve].movements >= TAUGHT

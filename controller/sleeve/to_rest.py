@@ -28,9 +28,7 @@ def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch
     return Switch(on_us, valve, True), Switch(on_us + length_us, valve, False)
 
 
-def pulse_to_neutral_us(
-    sleeve: DrivenSleeve, direction: int, on_us: int, sure_sds: float = 0.0
-) -> int:
+def pulse_to_neutral_us(sleeve: DrivenSleeve, direction: int, on_us: int, sure_sds: float) -> int:
     """How long the valve that pushes there has to be on.
 
     Between the shortest pulse that gets there and the longest that does not go beyond, in the
