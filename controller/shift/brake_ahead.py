@@ -1,5 +1,5 @@
 """The brake's air, before the old gear's sleeve rests in neutral: as soon as its teeth are seen to
-be out and it runs on to neutral, by itself or braked.
+be out and stay so.
 
 Sooner, the guard could not prove that no teeth are loaded: once its valve is off, a sleeve that is
 still between the teeth may stop there.
@@ -13,7 +13,7 @@ from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.to_neutral import CLEAR_M, is_to_rest
+from meshpoint.controller.shift.to_neutral import CLEAR_M, RESTS_US
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.units import SECOND_US
@@ -25,7 +25,7 @@ LEAVES_M_S: Final = 0.1
 
 
 def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """Switches the brake on while the old gear's sleeve is on its way to neutral, out of its teeth;
+    """Switches the brake on while the old gear's sleeve is out of its teeth, but not in neutral yet;
     only for a gear that is too fast, and where no other sleeve has to change before."""
     is_on = context.board.command(ValveName.BRAKE).on
     is_out = _is_out(context, snapshot)
@@ -58,18 +58,16 @@ def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 
 def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the main sleeves come to rest in neutral as commanded, and are seen clear of all
-    teeth and on their way there."""
-    shift = context.running
-    if not is_to_rest(context, snapshot) or (shift.pushed_us is not None and not shift.is_braked):
-        return False
-    # A sleeve that is being braked has to be in neutral: it may stop sooner.
-    runs_out = context.main_valves_rest(snapshot.now_us)
+    """Whether the main sleeves are seen clear of all teeth, stay so by their commands, and move
+    towards them no more: not all the way to neutral, which takes one that falls short far longer."""
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
+    at_us = snapshot.now_us + RESTS_US
     for sleeve in MAIN_SLEEVES:
         newest_m, before_m = (snapshot.view.tracks[sleeve].samples_m[k] for k in (0, OVER_SAMPLES))
-        come_m_s = (abs(before_m) - abs(newest_m)) / (OVER_SAMPLES * 1e-3)
-        is_leaving = runs_out and abs(newest_m) < clear_m and come_m_s > LEAVES_M_S
-        if not is_leaving and abs(newest_m) > VIEW_NEUTRAL_M:
+        out_m_s = (abs(newest_m) - abs(before_m)) / (OVER_SAMPLES * 1e-3)
+        rests_m = context.sleeves.place(sleeve, at_us).m
+        if max(abs(newest_m), abs(rests_m)) > clear_m:
+            return False
+        if out_m_s > LEAVES_M_S and abs(newest_m) > VIEW_NEUTRAL_M:
             return False
     return True
