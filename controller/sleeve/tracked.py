@@ -17,8 +17,6 @@ from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, Sleev
 from meshpoint.controller.sleeve.motion import Start, Way, follow
 from meshpoint.units import SECOND_US, US
 
-STILL_M: Final = 1.5e-4
-"""Samples within this of each other are of a sleeve that rests."""
 STANDS_US: Final = 40_000
 """So long after its last switch a sleeve that stands still stays where it is."""
 VENTED_PA: Final = 2e3
@@ -182,9 +180,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _is_over(self, track: SleeveTrack) -> bool:
         driven = any(self.driven(valve, track.newest_us) for valve in (0, 1))
-        newest = track.samples_m[:REST_SAMPLES]
-        still = max(newest) - min(newest) < STILL_M
-        return not driven and still and track.newest_us - self.last_switch_us > STANDS_US
+        return not driven and track.is_still and track.newest_us - self.last_switch_us > STANDS_US
 
     def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""

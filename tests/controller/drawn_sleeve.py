@@ -70,6 +70,7 @@ class DrawnSleeve:
         self.off_s = [12e-3 + draw(-2e-3, 2e-3) for _ in range(2)]
         self.offset_m, self.gain = draw(-3e-4, 3e-4), 1.0 + draw(-0.015, 0.015)
         self.scatter_s = scatter_s
+        self.noise_m = 4e-5
         self.teeth_at: float | None = None
         """A tooth stops it there; None: it meets a gap."""
         self.now_us = 0
@@ -137,5 +138,5 @@ class DrawnSleeve:
 
     def reading_m(self) -> float:
         """A sample of the position sensor."""
-        noise_m = float(self.rng.normal(0.0, 4e-5))
+        noise_m = float(self.rng.normal(0.0, self.noise_m))
         return self.gain * self.x + self.offset_m + noise_m

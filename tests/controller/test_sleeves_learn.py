@@ -138,3 +138,20 @@ def test_a_sleeve_that_is_held_fast_teaches_nothing() -> None:
     bench.sleeves.commanded(VALVES[0], False, bench.now_us + 5_000)
     bench.run(400_000)
     assert (bench.sleeves.records(), bench.sleeves.laws()) == known
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.04, 0.1])
+def test_a_sleeve_is_seen_to_stand_whatever_the_noise_of_its_sensor(noise_mm: float) -> None:
+    """In its gear, its valve off: until then nothing is learned, and it is not moved again."""
+    stood_ms = []
+    for seed in range(8):
+        bench = SleeveBench(SHEET, DrawnSleeve(CYLINDERS["between"], seed))
+        bench.sleeve.noise_m = 1e-3 * noise_mm
+        bench.fire()
+        bench.command(0, False, bench.now_us + 4_000)
+        off_us = bench.now_us + 4_000
+        while not bench.sleeves.rests(GEAR) and bench.now_us < off_us + 400_000:
+            bench.step()
+        stood_ms.append(1e-3 * (bench.now_us - off_us))
+    assert max(stood_ms) <= 80.0
+    assert np.mean(stood_ms) <= 55.0
