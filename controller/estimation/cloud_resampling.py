@@ -38,6 +38,8 @@ SHARES: Final = (STIFF, LOSS, HALF, TYRE_STIFF)
 LEAST_APART: Final = 1e-6
 """Added to a correlation of 1 in square: so few drivelines may stand for a contact that some of
 their quantities depend on the others."""
+LEAST_SD: Final = 1e-140
+"""Of a smaller one the square has too few digits for a correlation."""
 FLANKS: Final = 3
 """Contacts: at the flank of coast, between, at the flank of drive."""
 
@@ -88,7 +90,7 @@ def _mean_and_root(quantities: Vector, weights: Vector) -> tuple[Vector, Vector]
     off = quantities - mean
     covariance = (off * shares) @ off.T
     sd = np.sqrt(np.diag(covariance))
-    apart = np.where(sd > 0.0, sd, 1.0)
+    apart = np.where(sd > LEAST_SD, sd, 1.0)
     related = covariance / np.outer(apart, apart)
     if not np.isfinite(related).all():
         return mean, np.zeros_like(related)  # squares of numbers beyond all sense

@@ -130,3 +130,14 @@ def test_a_point_is_drawn_as_often_as_its_weight_rounded(weight: float, times: i
 
 def test_points_are_drawn_even_where_rounding_leaves_weights_that_are_less_than_one() -> None:
     assert drawn(np.array([0.5, 0.4]), 10).tolist() == [0] * 5 + [1] * 5
+
+
+@pytest.mark.parametrize("weight", [4.6e-319, 1e-300, 1e-160])
+def test_a_driveline_that_weighs_next_to_nothing_does_not_matter(weight: float) -> None:
+    """A step raised: of so small a weight no correlation can be worked out."""
+    weights = np.zeros(COUNT)
+    weights[[7, 9]] = 1.0, weight
+    for seed in range(10):
+        x = a_cloud(COAST, seed=seed)
+        found = resampled(x, weights, NUMBERS)
+        assert quantities(found) == pytest.approx(np.repeat(quantities(x[:, [7]]), COUNT, axis=1))
