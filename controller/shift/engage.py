@@ -110,6 +110,9 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         context.tell_sleeves(snapshot.now_us)
     context.clutch = ClutchAction.OPEN
     shift.plan = None
+    if gear is shift.target.main and context.main_valves_rest(snapshot.now_us):
+        # A sleeve that stood on a tooth may go in while its pressure falls.
+        return in_mesh(context, snapshot)
     # Not in the step that takes the valve off: the coil has to go off before it is fired again.
     if gear is MainGear.NEUTRAL and snapshot.now_us > context.since_us:
         if bring_to_neutral(context, snapshot, stands=True):

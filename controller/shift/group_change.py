@@ -43,7 +43,7 @@ class GroupChange(NamedTuple):
 
 def change_splitter(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """A shift by the splitter alone; the main box stays in its gear."""
-    missing = _push_steps(context, snapshot)
+    missing = _unfinished(_push_steps(context, snapshot))
     if missing is None:
         context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
         return Trigger.ENGAGED
@@ -54,24 +54,29 @@ def change_splitter(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | 
 
 def change_steps(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Changes splitter and range to those of the new gear while the main box is in neutral."""
-    missing = _push_steps(context, snapshot)
-    if missing is None and _tracked(snapshot):
+    steps = _push_steps(context, snapshot)
+    missing = _unfinished(steps)
+    # Without a change nothing has disturbed the estimates; a brake that acts already makes them lag.
+    if missing is None and (not steps or _tracked(snapshot)):
         return Trigger.STEPS_IN
     if context.late(snapshot, context.settings.limits.steps_ms):
         return context.give_up(snapshot, missing or FaultCode.SPEED_STALE)
     return None
 
 
-def _push_steps(context: ShiftContext, snapshot: StepSnapshot) -> FaultCode | None:
-    """Drives the valves of changes that are not in mesh yet.
-
-    Returns the fault to declare for the first change that is not finished; None if all are."""
+def _push_steps(context: ShiftContext, snapshot: StepSnapshot) -> list[GroupChange]:
+    """Drives the valves of changes that are not in mesh yet; returns all changes."""
     steps = _steps(context, snapshot)
     for step in steps:
         if step.in_mesh:
             context.board.off(step.valve)
         else:
             _push(context, step.valve, snapshot)
+    return steps
+
+
+def _unfinished(steps: list[GroupChange]) -> FaultCode | None:
+    """The fault to declare for the first change that is not finished; None if all are."""
     return next((step.fault for step in steps if not step.done), None)
 
 

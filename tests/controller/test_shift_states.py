@@ -192,6 +192,17 @@ def test_a_sleeve_that_meets_a_tooth_goes_back_and_is_fired_again_until_its_atte
         assert box.trajectory.count(State.RETRACTING) == blocked
 
 
+def test_a_sleeve_that_goes_in_as_it_is_let_go_has_engaged() -> None:
+    """Red before: on a tooth that friction held in its way as long as the valve pressed. Once let
+    go the tooth went by, what air was left pushed the sleeve in, and it was pulled out again."""
+    box = aimed(*UP[:2])
+    box.face = lambda _: box.state is not State.RETRACTING
+    record = box.shift(UP[2])
+    assert (record.result, record.attempts) == (ShiftResult.ENGAGED, 1)
+    assert box.trajectory[-3:] == [State.RETRACTING, State.CLUTCH_CLOSING, State.IN_GEAR]
+    assert box.view.gear_number == UP[2]
+
+
 def rested(box: Box, left: list[int]) -> ShiftRecord:
     """The shift up; a tooth under which a sleeve rests stays there until it has gone back."""
     passes, gear, resting = box.face, SLEEVE_OF_MAIN[DRIVE_GEARS[UP[2]].main], [False]
