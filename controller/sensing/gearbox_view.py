@@ -18,11 +18,12 @@ ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
 RESTS_M: Final = 0.4e-3
 """A sleeve that has moved less than this within a frame stands: some times the sensors' noise."""
-STILL_MEANS, STILL_SAMPLES = 3, 5
+MEAN_SAMPLES: Final = 5
+"""Single samples would not do to see whether a sleeve moves: a sensor's noise may be 0.1 mm."""
+STILL_MEANS: Final = 3
 STILL_M: Final = 1.2e-4
-"""A sleeve stands where so many means of so many samples each, one after the other, are this close
-to each other: it moves by no more than 12 mm/s, and does not turn round just then. Single samples
-would not do: a sensor's noise may be 0.1 mm."""
+"""A sleeve stands where so many means, one after the other, are this close to each other: it moves
+by no more than 12 mm/s, and does not turn round just then."""
 SAMPLE_US: Final = 1000
 SAMPLES: Final = 10
 """Of a sleeve in a frame."""
@@ -47,13 +48,17 @@ class SleeveTrack(NamedTuple):
         """The sleeve's newest position (m)."""
         return self.samples_m[0]
 
+    def mean_m(self, before: int) -> float:
+        """Mean of the newest `MEAN_SAMPLES`, or of as many that came so many means before."""
+        first = before * MEAN_SAMPLES
+        return sum(self.samples_m[first : first + MEAN_SAMPLES]) / MEAN_SAMPLES
+
     @property
     def is_still(self) -> bool:
         """Whether the sleeve stands, as far as these samples show."""
-        means = min(STILL_MEANS, len(self.samples_m) // STILL_SAMPLES)
-        starts = range(0, means * STILL_SAMPLES, STILL_SAMPLES)
-        sums = [sum(self.samples_m[start : start + STILL_SAMPLES]) for start in starts]
-        return max(sums) - min(sums) < STILL_SAMPLES * STILL_M
+        count = min(STILL_MEANS, len(self.samples_m) // MEAN_SAMPLES)
+        means_m = [self.mean_m(before) for before in range(count)]
+        return max(means_m) - min(means_m) < STILL_M
 
     def crossing_us(self, level_m: float, direction: int) -> float | None:
         """When the sleeve passed `level_m` toward `direction` within these samples; interpolated.

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.sensing.gearbox_view import MEAN_SAMPLES, SAMPLE_US, VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.to_neutral import CLEAR_M, RESTS_US
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
-from meshpoint.units import SECOND_US
+from meshpoint.units import SECOND_US, US
 
-OVER_SAMPLES: Final = 3
-"""Over this many samples of 1 ms it is seen how fast a sleeve moves."""
 LEAVES_M_S: Final = 0.1
 """A sleeve faster than this is surely on its way."""
 
@@ -63,8 +61,9 @@ def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
     at_us = snapshot.now_us + RESTS_US
     for sleeve in MAIN_SLEEVES:
-        newest_m, before_m = (snapshot.view.tracks[sleeve].samples_m[k] for k in (0, OVER_SAMPLES))
-        out_m_s = (abs(newest_m) - abs(before_m)) / (OVER_SAMPLES * 1e-3)
+        track = snapshot.view.tracks[sleeve]
+        newest_m, span_s = track.position_m, MEAN_SAMPLES * SAMPLE_US * US
+        out_m_s = (abs(track.mean_m(0)) - abs(track.mean_m(1))) / span_s
         rests_m = context.sleeves.place(sleeve, at_us).m
         if max(abs(newest_m), abs(rests_m)) > clear_m:
             return False
