@@ -23,7 +23,7 @@ LEAVES_M_S: Final = 0.1
 
 
 def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """Switches the brake on while the old gear's sleeve is out of its teeth, but not in neutral yet;
+    """Switches the brake on while the old gear's sleeve is out of its teeth and not in neutral yet;
     only for a gear that is too fast, and where no other sleeve has to change before."""
     is_on = context.board.command(ValveName.BRAKE).on
     is_out = _is_out(context, snapshot)
@@ -56,8 +56,8 @@ def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 
 def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the main sleeves are seen clear of all teeth, stay so by their commands, and move
-    towards them no more: not all the way to neutral, which takes one that falls short far longer."""
+    """Whether the main sleeves are seen clear of all teeth, stay so by their commands, and do not
+    move towards them. Neutral is not waited for: one that falls short takes far longer to it."""
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
     at_us = snapshot.now_us + RESTS_US
     for sleeve in MAIN_SLEEVES:

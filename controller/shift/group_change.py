@@ -56,7 +56,7 @@ def change_steps(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
     """Changes splitter and range to those of the new gear while the main box is in neutral."""
     steps = _push_steps(context, snapshot)
     missing = _unfinished(steps)
-    # Without a change nothing has disturbed the estimates; a brake that acts already makes them lag.
+    # Without a change nothing has disturbed the estimates, but a brake that acts makes them lag.
     if missing is None and (not steps or _tracked(snapshot)):
         return Trigger.STEPS_IN
     if context.late(snapshot, context.settings.limits.steps_ms):

@@ -34,14 +34,10 @@ def has_left_neutral(snapshot: StepSnapshot) -> bool:
 
 def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether both main sleeves come to rest in neutral as commanded, none driven any more."""
-    return context.main_valves_rest(snapshot.now_us) and is_to_rest(context, snapshot)
-
-
-def is_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """The same, by what is still to come of their pulses."""
+    if not context.main_valves_rest(snapshot.now_us):
+        return False
     at_us = snapshot.now_us + RESTS_US
-    places = [context.sleeves.place(sleeve, at_us) for sleeve in MAIN_SLEEVES]
-    return all(abs(place.m) < VIEW_NEUTRAL_M for place in places)
+    return all(abs(context.sleeves.place(one, at_us).m) < VIEW_NEUTRAL_M for one in MAIN_SLEEVES)
 
 
 def stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
