@@ -13,6 +13,7 @@ from meshpoint.controller.sensing.gearbox_view import MEAN_SAMPLES, SAMPLE_US, V
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.synchronise import plan_release
 from meshpoint.controller.shift.to_neutral import CLEAR_M, RESTS_US
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
@@ -23,16 +24,22 @@ LEAVES_M_S: Final = 0.1
 
 
 def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """Switches the brake on while the old gear's sleeve is out of its teeth and not in neutral yet;
-    only for a gear that is too fast, and where no other sleeve has to change before."""
-    is_on = context.board.command(ValveName.BRAKE).on
+    """Brakes while the old gear's sleeve is out of its teeth and not in neutral yet, and plans the
+    release; only for a gear that is too fast, and where no other sleeve has to change before."""
+    shift, command = context.running, context.board.command(ValveName.BRAKE)
+    acts = command.on or context.board.driven(ValveName.BRAKE, snapshot.earliest_us)
     is_out = _is_out(context, snapshot)
-    if is_on and not is_out:
+    if acts and not is_out:
         context.board.off(ValveName.BRAKE)
         context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
-        context.running.pulses -= 1
-    elif is_out and not is_on and _is_wanted(context, snapshot):
-        context.running.pulses += 1
+        shift.pulses, shift.release_us = shift.pulses - 1, None
+    elif acts:
+        predictor = context.predictor(shift.target.main, snapshot)
+        if predictor is not None:
+            # No sleeve can be fired yet: so much slip is left that drag may go on till it can be.
+            plan_release(context, predictor, snapshot, context.strategist.acting(False))
+    elif is_out and shift.release_us is None and _is_wanted(context, snapshot):
+        shift.pulses += 1
         context.switch_brake(True, snapshot.earliest_us, snapshot)
 
 

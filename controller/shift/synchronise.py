@@ -57,7 +57,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
             return Trigger.BRAKE_RELEASED
         shift.pulses += 1
     _keep_braking(context, snapshot)
-    _plan_release(context, predictor, snapshot)
+    plan_release(context, predictor, snapshot, _acting(context, gear))
     if shift.release_us is not None and _acting(context, gear).aims:
         # The firing may come before the release: the sleeve takes longer than the brake to fade.
         plan_firing(context, predictor, snapshot, snapshot.earliest_us)
@@ -151,12 +151,17 @@ def _keep_braking(context: ShiftContext, snapshot: StepSnapshot) -> None:
         context.switch_brake(True, snapshot.earliest_us, snapshot)
 
 
-def _plan_release(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> None:
+def plan_release(
+    context: ShiftContext,
+    predictor: GearPredictor,
+    snapshot: StepSnapshot,
+    acting: EngagementStrategy,
+) -> None:
+    """Plans the brake's release anew by a strategy, and sends it once it is near enough."""
     shift = context.running
     command = context.board.command(ValveName.BRAKE)
     on_us = command.time_us if command.on else snapshot.now_us
     earliest_us = max(snapshot.earliest_us, on_us)
-    acting = _acting(context, shift.target.main)
     release_us, contact_us = acting.release(predictor, snapshot.now_us, earliest_us)
     horizon_us = snapshot.now_us + RELEASE_HORIZON_US
     if shift.release_us is not None:

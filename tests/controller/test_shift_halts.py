@@ -31,6 +31,7 @@ from meshpoint.gearbox import MainGear
 VALVE, OPPOSITE = ValveName.MAIN_SECOND, ValveName.MAIN_FIRST
 MAIN_VALVES = (ValveName.MAIN_FIRST, ValveName.MAIN_SECOND, ValveName.MAIN_CRAWL,
                ValveName.MAIN_THIRD)  # fmt: skip
+PRESSED_PA = 2e5
 HALF_GAP: float = 0.5 * SHEET.dog.backlash_rad
 
 
@@ -225,3 +226,23 @@ def test_a_sleeve_that_leaves_neutral_while_the_engine_raises_the_gear_finds_the
     assert box.sequence.engine_rad_s is None
     box.until(State.IN_GEAR)
     assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+def test_a_gear_is_not_braked_below_its_speed_while_the_old_ones_sleeve_stands_short() -> None:
+    """Red before: the brake that came ahead was let go only once the sleeve was in neutral, and the
+    engine had to raise the gear again."""
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    while box.position_m[FIRST_SECOND] < -3e-3:
+        box.step()
+    box.stuck.add(FIRST_SECOND)
+    box.position_m[FIRST_SECOND] = -3e-3
+    while box.pressure_pa < PRESSED_PA:
+        assert box.step() is State.DISENGAGING
+    while box.pressure_pa > 0.1 * PRESSED_PA:
+        assert box.step() is State.DISENGAGING
+    assert box.slip(MainGear.SECOND) > 0.0
+    box.stuck.clear()
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
+    assert box.records[-1].raises == 0
