@@ -388,8 +388,8 @@ class Case(NamedTuple):
 
     def teeth_are_out(self, sleeve: int, at_us: float) -> bool:
         """Whether a main sleeve is clear of its gears' teeth at a time: it stands in neutral or
-        before them, or a driven valve pulls it and it is seen to move out fast enough,
-        s = a t^2 / 2 from its end."""
+        before them, or is clear of them and is not seen to move towards them, or a driven valve
+        pulls it and it is seen to move out fast enough, s = a t^2 / 2 from its end."""
         limits = self.limits
         position = self.seen.positions_m[sleeve]
         if self.moves_on(sleeve):
@@ -405,8 +405,8 @@ class Case(NamedTuple):
             self.spans[valve] is not None and self.way_m(valve) > 0.0
             for valve in limits.valves_of(sleeve)
         )
-        runs_out = speed > LEAVING_M_S and not is_pushed
-        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or runs_out):
+        stays_out = speed > -LEAVING_M_S and not is_pushed
+        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or stays_out):
             return True
         if not pulled:
             return False

@@ -92,7 +92,17 @@ def test_row_5_a_gear_that_no_valve_pulls_is_out_only_where_it_is_measured_to_be
     """Its pulse is over, and it runs on: 4.4 mm is clear of the teeth, 4.6 mm is not yet."""
     assert blocked_row(leaving(4.6, 0.5), ValveName.BRAKE) == 5
     assert blocked_row(leaving(4.4, 0.5), ValveName.BRAKE) is None
-    assert blocked_row(leaving(4.4, 0.05), ValveName.BRAKE) == 5
+
+
+@pytest.mark.parametrize(
+    ("out_m_s", "row"), [(0.05, None), (0.0, None), (-0.049, None), (-0.051, 5)]
+)
+def test_row_5_a_sleeve_that_has_just_come_to_stand_clear_of_the_teeth(
+    out_m_s: float, row: int | None
+) -> None:
+    """Its pulse fell short. By its mean speed it still moves; back to the teeth it must not."""
+    seen = leaving(4.4, out_m_s)._replace(means_m_s=(-0.3, 0.0))
+    assert blocked_row(seen, ValveName.BRAKE) == row
 
 
 def test_row_5_the_brake_while_a_gear_is_being_engaged() -> None:
