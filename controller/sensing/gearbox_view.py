@@ -22,8 +22,8 @@ MEAN_SAMPLES: Final = 5
 """Single samples would not do to see whether a sleeve moves: a sensor's noise may be 0.1 mm."""
 STILL_MEANS: Final = 3
 STILL_M: Final = 1.2e-4
-"""A sleeve stands where so many means, one after the other, are this close to each other: it moves
-by no more than 12 mm/s, and does not turn round just then."""
+"""A sleeve stands where three means, one after the other, are this close to each other: it moves by
+no more than 12 mm/s, and does not turn round just then."""
 SAMPLE_US: Final = 1000
 SAMPLES: Final = 10
 """Of a sleeve in a frame."""
@@ -49,7 +49,7 @@ class SleeveTrack(NamedTuple):
         return self.samples_m[0]
 
     def mean_m(self, before: int) -> float:
-        """Mean of the newest `MEAN_SAMPLES`, or of as many that came so many means before."""
+        """Mean of the newest `MEAN_SAMPLES` (0), or of those that came before (1, 2, ...)."""
         first = before * MEAN_SAMPLES
         return sum(self.samples_m[first : first + MEAN_SAMPLES]) / MEAN_SAMPLES
 
