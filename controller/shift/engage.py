@@ -109,7 +109,6 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         context.board.off(SLEEVE_VALVE[shift.target.main])
         context.tell_sleeves(snapshot.now_us)
     context.clutch = ClutchAction.OPEN
-    shift.plan = None
     if gear is shift.target.main and context.main_valves_rest(snapshot.now_us):
         # A sleeve that stood on a tooth may go in while its pressure falls.
         return in_mesh(context, snapshot)
@@ -119,6 +118,7 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
             return None
         if shift.attempts >= context.settings.limits.attempts:
             return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
+        shift.plan = None
         return Trigger.RETRACTED
     if context.late(snapshot, context.settings.limits.disengage_ms):
         return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
