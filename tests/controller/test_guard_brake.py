@@ -95,7 +95,7 @@ def test_row_5_a_gear_that_no_valve_pulls_is_out_only_where_it_is_measured_to_be
 
 
 @pytest.mark.parametrize(
-    ("out_m_s", "row"), [(0.05, None), (0.0, None), (-0.049, None), (-0.051, 5)]
+    ("out_m_s", "row"), [(0.05, None), (0.0, None), (-0.049, None), (-0.05, 5)]
 )
 def test_row_5_a_sleeve_that_has_just_come_to_stand_clear_of_the_teeth(
     out_m_s: float, row: int | None
