@@ -460,7 +460,8 @@ def test_a_pulse_whose_end_is_now_is_over() -> None:
 def test_at_the_limits_themselves_teeth_are_out() -> None:
     """Of a sleeve that stands before them, and of one that is seen to move in neutral."""
     for place_m, speed_m_s in ((LIMITS.apart_m, 0.0), (GUARD_NEUTRAL_M, 0.1)):
-        seen = place(at(110), 0, place_m)._replace(means_m_s=(speed_m_s, 0.0))
+        moves = (speed_m_s, 0.0)
+        seen = place(at(110), 0, place_m)._replace(means_m_s=moves, speeds_m_s=moves)
         assert row(standing(0.0), seen, {BRAKE: (ON_AT, 112)}) is None
 
 
