@@ -9,6 +9,7 @@ from meshpoint.controller.sensing.clutch_track import ClutchTrack
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.units import US
 
 VIEW_NEUTRAL_M: Final = 1.5e-3
 """A sleeve within this of the middle is in neutral, or its detent brings it there."""
@@ -52,6 +53,11 @@ class SleeveTrack(NamedTuple):
         """Mean of the newest `MEAN_SAMPLES` (0), or of those that came before (1, 2, ...)."""
         first = before * MEAN_SAMPLES
         return sum(self.samples_m[first : first + MEAN_SAMPLES]) / MEAN_SAMPLES
+
+    @property
+    def outward_m_s(self) -> float:
+        """How fast the sleeve moves away from neutral (m/s), by its two newest means."""
+        return (abs(self.mean_m(0)) - abs(self.mean_m(1))) / (MEAN_SAMPLES * SAMPLE_US * US)
 
     @property
     def is_still(self) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import MEAN_SAMPLES, SAMPLE_US, VIEW_NEUTRAL_M
+from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -17,7 +17,7 @@ from meshpoint.controller.shift.synchronise import plan_release
 from meshpoint.controller.shift.to_neutral import CLEAR_M, RESTS_US
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
-from meshpoint.units import SECOND_US, US
+from meshpoint.units import SECOND_US
 
 LEAVES_M_S: Final = 0.1
 """A sleeve faster than this is surely on its way."""
@@ -30,8 +30,7 @@ def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
     acts = command.on or context.board.driven(ValveName.BRAKE, snapshot.earliest_us)
     is_out = _is_out(context, snapshot)
     if acts and not is_out:
-        context.board.off(ValveName.BRAKE)
-        context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
+        context.brake_off(snapshot.now_us)
         shift.pulses, shift.release_us = shift.pulses - 1, None
     elif acts:
         predictor = context.predictor(shift.target.main, snapshot)
@@ -66,14 +65,11 @@ def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the main sleeves are seen clear of all teeth, stay so by their commands, and do not
     move towards them. Neutral is not waited for: one that falls short takes far longer to it."""
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
-    at_us = snapshot.now_us + RESTS_US
     for sleeve in MAIN_SLEEVES:
         track = snapshot.view.tracks[sleeve]
-        newest_m, span_s = track.position_m, MEAN_SAMPLES * SAMPLE_US * US
-        out_m_s = (abs(track.mean_m(0)) - abs(track.mean_m(1))) / span_s
-        rests_m = context.sleeves.place(sleeve, at_us).m
-        if max(abs(newest_m), abs(rests_m)) > clear_m:
+        newest_m = abs(track.position_m)
+        comes_back = track.outward_m_s > LEAVES_M_S and newest_m > VIEW_NEUTRAL_M
+        if newest_m > clear_m or comes_back:
             return False
-        if out_m_s > LEAVES_M_S and abs(newest_m) > VIEW_NEUTRAL_M:
-            return False
-    return True
+    at_us = snapshot.now_us + RESTS_US
+    return all(abs(context.sleeves.place(one, at_us).m) <= clear_m for one in MAIN_SLEEVES)

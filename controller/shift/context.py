@@ -157,6 +157,11 @@ class ShiftContext:
         self.board.schedule(ValveName.BRAKE, on, time_us, snapshot.now_us)
         self.brake.schedule(time_us, on, snapshot.now_us)
 
+    def brake_off(self, now_us: int) -> None:
+        """Switches the brake valve off now, and enters that in the filter's input."""
+        self.board.off(ValveName.BRAKE)
+        self.brake.schedule(now_us, False, now_us)
+
     def main_valves_rest(self, now_us: int) -> bool:
         """Whether no valve of the main box is driven or will be."""
         return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())

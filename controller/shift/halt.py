@@ -64,8 +64,7 @@ def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
     context.board.off(SLEEVE_VALVE[gear])
     if context.board.driven(ValveName.BRAKE, halt.at_us):
         # A sleeve that is not stopped in time must not meet a gear that is being braked.
-        context.board.off(ValveName.BRAKE)
-        context.brake.schedule(snapshot.now_us, False, snapshot.now_us)
+        context.brake_off(snapshot.now_us)
         shift.release_us = snapshot.now_us
     if halt.off_us > halt.at_us:
         context.board.pulse(OPPOSITE[gear], halt.at_us, halt.off_us, snapshot.now_us)
