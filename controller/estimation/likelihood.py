@@ -71,29 +71,11 @@ def restored(known: Learned, value: float, sd: float) -> Learned:
 
 
 def learn(known: Sequence[Learned], deviance: Deviance, scanned: Sequence[int] = ()) -> Found:
-    """The figures after one more shift, and their deviance. `scanned`: those whose deviance may
-    have several minima; while they are not well known their whole ranges are looked at first."""
-    grown = [replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH))) for one in known]
-    at = [one.log for one in grown]
-    sds = [one.sd for one in grown]
-
-    def total(logs: Sequence[float]) -> float:
-        off = sum(((log - one.log) / one.sd) ** 2 for log, one in zip(logs, grown, strict=True))
-        found = deviance(logs) + off
-        return found if math.isfinite(found) else math.inf
-
-    least = total(at)
-    at, least = _scan(at, least, [k for k in scanned if grown[k].sd > SCAN_SD], grown, total)
-    if not math.isfinite(least):
-        return Found(list(known), least)
-    for _ in range(SWEEPS):
-        for k, one in enumerate(grown):
-            at, least, sds[k] = _step(at, least, k, one, total)
-    found = [
-        replace(one, log=log, sd=max(sd, one.least_sd))
-        for one, log, sd in zip(grown, at, sds, strict=True)
-    ]
-    return Found(found, least)
+    """The figures after one more shift, and their deviance: `Search`, all of it at once."""
+    search = Search(known, deviance, scanned)
+    while not search.is_over:
+        search.step()
+    return search.found
 
 
 SCAN_SD: Final = 0.12
@@ -105,29 +87,115 @@ MOST_SCANNED: Final = 17
 """A scan has no more steps than this over a figure's range: they are longer instead."""
 REFINED: Final = 3
 """After a scan, this often values more closely around the best one are tried."""
+TRIED_A_STEP: Final = 3
+"""A step of a search tries so many values of a grid, as many as those of a parabola."""
 
 
-def _scan(
-    at: list[float], least: float, scanned: list[int], known: Sequence[Learned], total: Deviance
-) -> tuple[list[float], float]:
-    """The best on a grid of the figures that are not known well yet."""
-    grids = [_grid(known[k]) for k in scanned]
-    steps = [_spacing(known[k])[1] for k in scanned]
-    for _ in range(1 + REFINED):
-        for tried in itertools.product(*grids):
-            logs = list(at)
-            for k, log in zip(scanned, tried, strict=True):
-                logs[k] = log
-            found = total(logs)
-            if found < least:
-                at, least = logs, found
-        # Two figures may make up for each other, which steps of one at a time would not find.
-        steps = [step / 3.0 for step in steps]
-        grids = [
-            [at[k] + i * step for i in (-2, -1, 0, 1, 2)]
-            for k, step in zip(scanned, steps, strict=True)
+class Search:
+    """The figures after one more shift, looked for a little at each `step`."""
+
+    def __init__(
+        self, known: Sequence[Learned], deviance: Deviance, scanned: Sequence[int] = ()
+    ) -> None:
+        """`scanned`: those whose deviance may have several minima; while they are not well known
+        their whole ranges are looked at first."""
+        self._known = list(known)
+        self._grown = [
+            replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH))) for one in known
         ]
-    return at, least
+        self._of = deviance
+        self._at, self._least = [one.log for one in self._grown], math.nan
+        self._sds = [one.sd for one in self._grown]
+        self._scanned = [k for k in scanned if self._grown[k].sd > SCAN_SD]
+        self._spacings = [_spacing(known[k])[1] for k in self._scanned]
+        self._grid = list(itertools.product(*[_grid(known[k]) for k in self._scanned]))
+        self._rounds = REFINED if self._scanned else 0
+        self._turns = list(range(len(known))) * SWEEPS
+        self._begun = False
+
+    @property
+    def is_over(self) -> bool:
+        """Whether `found` has the figures."""
+        return self._begun and not (self._scanned or self._turns)
+
+    @property
+    def found(self) -> Found:
+        """The figures so far; what was known where not even that has a finite deviance."""
+        if not math.isfinite(self._least):
+            return Found(self._known, self._least)
+        figures = [
+            replace(one, log=log, sd=max(sd, one.least_sd))
+            for one, log, sd in zip(self._grown, self._at, self._sds, strict=True)
+        ]
+        return Found(figures, self._least)
+
+    def step(self) -> None:
+        """Some values of a scan, or one figure's parabola."""
+        if not self._begun:
+            self._begun, self._least = True, self._deviance(self._at)
+        if self._scanned:
+            self._scan()
+        elif not math.isfinite(self._least):
+            self._turns.clear()
+        elif self._turns:
+            self._move(self._turns.pop(0))
+
+    def _deviance(self, logs: Sequence[float]) -> float:
+        """With what was known before."""
+        off = sum(((log - one.log) / one.sd) ** 2 for log, one in zip(logs, self._grown, strict=True))
+        found = self._of(logs) + off
+        return found if math.isfinite(found) else math.inf
+
+    def _scan(self) -> None:
+        """The next values of the grid; after the last one a closer grid, or the end of the scan."""
+        for tried in self._grid[:TRIED_A_STEP]:
+            logs = list(self._at)
+            for k, log in zip(self._scanned, tried, strict=True):
+                logs[k] = log
+            found = self._deviance(logs)
+            if found < self._least:
+                self._at, self._least = logs, found
+        del self._grid[:TRIED_A_STEP]
+        if self._grid:
+            return
+        if self._rounds == 0:
+            self._scanned = []
+            return
+        # Two figures may make up for each other, which steps of one at a time would not find.
+        self._rounds -= 1
+        self._spacings = [spacing / 3.0 for spacing in self._spacings]
+        self._grid = list(
+            itertools.product(
+                *[
+                    [self._at[k] + i * spacing for i in (-2, -1, 0, 1, 2)]
+                    for k, spacing in zip(self._scanned, self._spacings, strict=True)
+                ]
+            )
+        )
+
+    def _move(self, k: int) -> None:
+        """The k-th figure to the minimum of the parabola through two probes and where it is."""
+        one, at, least = self._grown[k], self._at, self._least
+        reach = max(REACH * one.sd, LEAST_REACH)
+        low, high = _with(at, k, at[k] - reach), _with(at, k, at[k] + reach)
+        below, above = self._deviance(low), self._deviance(high)
+        curvature = (below - 2.0 * least + above) / (reach * reach)
+        self._sds[k] = one.sd
+        if not math.isfinite(curvature):
+            return
+        # A probe may lie beyond the figure's range: it gives the slope there, and is never taken.
+        inside = [probe for probe in ((low, below), (high, above))
+                  if one.least_log <= probe[0][k] <= one.most_log]  # fmt: skip
+        self._at, self._least = min(((at, least), *inside), key=lambda tried: tried[1])
+        if curvature <= 0.0:
+            return
+        self._sds[k] = min(one.sd, math.sqrt(2.0 / curvature))
+        step = -(above - below) / (2.0 * reach) / curvature
+        step = min(max(step, -MOST_STEP * reach), MOST_STEP * reach)
+        tried = _with(at, k, min(max(at[k] + step, one.least_log), one.most_log))
+        now = self._deviance(tried)
+        if now < self._least:
+            self._at, self._least = tried, now
 
 
 def _spacing(one: Learned) -> tuple[int, float]:
@@ -140,32 +208,6 @@ def _spacing(one: Learned) -> tuple[int, float]:
 def _grid(one: Learned) -> list[float]:
     count, step = _spacing(one)
     return [one.least_log + i * step for i in range(count + 1)]
-
-
-def _step(
-    at: list[float], least: float, k: int, one: Learned, total: Deviance
-) -> tuple[list[float], float, float]:
-    """The k-th figure to the minimum of the parabola: the figures, their deviance, and the k-th
-    one's standard deviation."""
-    reach = max(REACH * one.sd, LEAST_REACH)
-    low, high = _with(at, k, at[k] - reach), _with(at, k, at[k] + reach)
-    below, above = total(low), total(high)
-    curvature = (below - 2.0 * least + above) / (reach * reach)
-    if not math.isfinite(curvature):
-        return at, least, one.sd
-    # A probe may lie beyond the figure's range: it gives the slope there, and is never taken.
-    inside = [probe for probe in ((low, below), (high, above))
-              if one.least_log <= probe[0][k] <= one.most_log]  # fmt: skip
-    best, found = min(((at, least), *inside), key=lambda tried: tried[1])
-    if curvature <= 0.0:
-        return best, found, one.sd
-    step = -(above - below) / (2.0 * reach) / curvature
-    step = min(max(step, -MOST_STEP * reach), MOST_STEP * reach)
-    tried = _with(at, k, min(max(at[k] + step, one.least_log), one.most_log))
-    now = total(tried)
-    if now < found:
-        best, found = tried, now
-    return best, found, min(one.sd, math.sqrt(2.0 / curvature))
 
 
 def _with(at: list[float], k: int, log: float) -> list[float]:
