@@ -135,9 +135,10 @@ class ControllerCore:
             restore(header.calibration, self._observer, self._sequence)
 
     @property
-    def knows(self) -> tuple[int, int]:
-        """Changes when there is more to keep: shifts that have ended, references that are known."""
-        return self.shifts, self._observer.references.mask
+    def knows(self) -> tuple[int, int, int]:
+        """Changes when there is more to keep: shifts that have ended, what has been learned from
+        them, references that are known."""
+        return self.shifts, self._observer.learned, self._observer.references.mask
 
     @property
     def running_shift(self) -> ShiftRecord | None:
@@ -246,11 +247,12 @@ class ControllerCore:
         return Step(frames, events)
 
     def shutdown(self, now_us: int) -> Step:
-        """The last frames: all valves off."""
+        """The last frames: all valves off. What is left to be learned is learned at once."""
         self._board.all_off()
         frames = [self._transmitter.encode(ValveCommand())]
         if self._guard.is_armed:
             frames.append(self._transmitter.encode(ClutchCommand()))
+        self._observer.finish_learning()
         return Step(frames, [f"valves off at {now_us} us"])
 
     def _lateness_us(self, now_us: int) -> int:

@@ -205,8 +205,37 @@ class Observer:
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
         self._see_load(inputs)
+        self._learn_on()
         if self.recovery is not None:
             self.recovery.measure(events, self._layshaft_wheel.sensor.renumbered)
+
+    def _learn_on(self) -> bool:
+        """A part of what shifts have shown that takes longer than a tick to be learned; whether
+        there was one."""
+        layshaft, main = self._crossing, self._main
+        if layshaft is None or not isinstance(main, MainTracker):
+            return False
+        learning, learned = layshaft.is_learning or main.is_learning, layshaft.learned
+        if layshaft.is_learning:
+            layshaft.learn()
+        if main.is_learning:
+            main.learn()
+        if layshaft.learned != learned:
+            self._model_layshaft()
+        return learning
+
+    def finish_learning(self) -> None:
+        """Learns at once what is left to be learned: no step comes any more."""
+        while self._learn_on():
+            pass
+
+    @property
+    def learned(self) -> int:
+        """Changes as soon as a shift has been learned from."""
+        layshaft, main = self._crossing, self._main
+        if layshaft is None or not isinstance(main, MainTracker):
+            return 0
+        return layshaft.learned + main.learned
 
     def _see_load(self, inputs: StepInputs) -> None:
         """Follows what loads the gear in mesh."""
@@ -336,14 +365,12 @@ class Observer:
         newest = self._layshaft_wheel.newest
         if newest is None:
             return
-        free, was_free = self._is_free, self.layshaft.free
+        free = self._is_free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
             self._main.set_free(
                 free, view.range_, events, view.oldest_us, self.pressed_nm, self._loaded
             )
-        if was_free and not free:
-            self._model_layshaft()
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""

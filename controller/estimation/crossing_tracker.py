@@ -3,12 +3,18 @@
 It has two models: its own while clutch and main box leave it free (thesis 4.13), and one with an
 unknown acceleration while a gear is in mesh. The filter's state and the learned teeth are kept when
 the model changes.
+
+What a free run teaches of brake, scatter and friction takes longer than a tick, and nothing of it
+is needed before the next request: it is learned in parts, one a step, while a gear is in mesh.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -16,7 +22,7 @@ from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeMotion, FreeRun
 from meshpoint.controller.estimation.layshaft import LayshaftModels
-from meshpoint.controller.estimation.likelihood import prior, restored
+from meshpoint.controller.estimation.likelihood import Search, prior, restored
 from meshpoint.controller.estimation.wheel_tracker import (
     NOISE_ADAPTATION,
     STRUCK_RAD_S,
@@ -56,6 +62,31 @@ LEAST_FREE_EDGES: Final = 100
 """With fewer edges of free motion, gain and drag are not taken over from the filter."""
 
 
+class Part(Enum):
+    """What is learned next of a free run that has ended."""
+
+    BRAKE = auto()
+    TOUCH_AND_LAG = auto()
+    NOISE = auto()
+    FRICTION = auto()
+    NOTHING = auto()
+
+
+@dataclass
+class Lesson:
+    """A free run that has ended, and what of it is still to be learned."""
+
+    run: FreeRun
+    brake: BrakeInput
+    """The brake's switches in it."""
+    model: MotionModel
+    inertia_kgm2: float
+    steady_rad_s: float | None
+    """The speed at which the drag was seen before; None in the first run."""
+    part: Part = Part.BRAKE
+    noise: Search | None = None
+
+
 class CrossingTracker(WheelTracker):
     """Angle, speed and brake pressure of the layshaft at any time near now."""
 
@@ -92,6 +123,9 @@ class CrossingTracker(WheelTracker):
         """What is known of the viscous friction, Nms."""
         self._steady_rad_s: float | None = None
         """The speed at which the drag was seen last; None before the first shift."""
+        self._lessons: deque[Lesson] = deque()
+        self.learned = 0
+        """From how many free runs everything has been learned."""
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
         theta_sd = 2.0 * self._tuning.tooth_error_rad
@@ -208,12 +242,13 @@ class CrossingTracker(WheelTracker):
         x = state.x
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.carry(x, state.p, self._inertia_kgm2)
-            end_rad_s = float(x[OMEGA])
-            learned = known.learn(self._run.samples, *self._brake.commands)
-            if learned and self.teeth.learned:
-                self._run.learn_touch_and_lag(known, self._free_motion())
-            self._learn_noise()
-            self._learn_friction(end_rad_s)
+            brake = BrakeInput(0)
+            brake.follow(self._brake)
+            self._lessons.append(
+                Lesson(self._run, brake, self.model, self._inertia_kgm2, self._steady_rad_s)
+            )
+            self._run = FreeRun(self._tuning)
+            self._steady_rad_s = float(x[OMEGA])
         # From here on the torque on the layshaft is unknown.
         state.noise_adaptation(NOISE_ADAPTATION)
         follow = self._tuning.follow_rad_s2
@@ -225,25 +260,58 @@ class CrossingTracker(WheelTracker):
         state.p[THETA, THETA] += self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 
-    def _free_motion(self) -> FreeMotion:
-        """By what has just been learned of the brake's delays and of the teeth."""
+    @property
+    def is_learning(self) -> bool:
+        """Whether `learn` has something to do: not while a run goes on, whose figures stay."""
+        return bool(self._lessons) and not self._free
+
+    def learn(self) -> None:
+        """The next part of what free runs teach, the oldest run first."""
+        lesson = self._lessons[0]
+        lesson.part = self._LEARN[lesson.part](self, lesson)
+        if lesson.part is Part.NOTHING:
+            self._lessons.popleft()
+            self.learned += 1
+
+    def _free_motion(self, lesson: Lesson) -> FreeMotion:
+        """By what is known of the brake's delays and of the teeth now."""
         known = self._known
-        self._brake.set_delays(known.off_delay_us, known.on_delay_us)
-        edge_time_s, switches = self.noise[EDGE_TIME].value, self._brake.arrays()
-        return FreeMotion(self.teeth, edge_time_s, switches, self.model, self._inertia_kgm2)
+        lesson.brake.set_delays(known.off_delay_us, known.on_delay_us)
+        edge_time_s, switches = self.noise[EDGE_TIME].value, lesson.brake.arrays()
+        return FreeMotion(self.teeth, edge_time_s, switches, lesson.model, lesson.inertia_kgm2)
 
-    def _learn_friction(self, end_rad_s: float) -> None:
-        """From the same motion. The drag at its end is what the next shift begins with."""
-        if self.teeth.learned and self._steady_rad_s is not None:
-            motion = self._free_motion()
-            self.friction = self._run.learn_friction(
-                self.friction, self._steady_rad_s, self._known, motion
-            )
-        self._steady_rad_s = end_rad_s
+    def _learn_brake(self, lesson: Lesson) -> Part:
+        learned = self._known.learn(lesson.run.samples, *lesson.brake.commands)
+        return Part.TOUCH_AND_LAG if learned and self.teeth.learned else Part.NOISE
 
-    def _learn_noise(self) -> None:
-        """From the free motion that has just ended: how much of what was not expected is the edges'
-        own, and how much is torque."""
-        self.noise = self._run.learn_noise(self.noise, self._known, self._free_motion())
+    def _learn_touch_and_lag(self, lesson: Lesson) -> Part:
+        lesson.run.learn_touch_and_lag(self._known, self._free_motion(lesson))
+        return Part.NOISE
+
+    def _learn_noise(self, lesson: Lesson) -> Part:
+        """How much of what was not expected is the edges' own, and how much is torque."""
+        if lesson.noise is None:
+            motion = self._free_motion(lesson)
+            lesson.noise = lesson.run.search_noise(self.noise, self._known, motion)
+        lesson.noise.step()
+        if not lesson.noise.is_over:
+            return Part.NOISE
+        self.noise = lesson.noise.found.figures
         self.noise_shifts += 1
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)
+        return Part.FRICTION
+
+    def _learn_friction(self, lesson: Lesson) -> Part:
+        if self.teeth.learned and lesson.steady_rad_s is not None:
+            self.friction = lesson.run.learn_friction(
+                self.friction, lesson.steady_rad_s, self._known, self._free_motion(lesson)
+            )
+        return Part.NOTHING
+
+    _LEARN: ClassVar = {
+        Part.BRAKE: _learn_brake,
+        Part.TOUCH_AND_LAG: _learn_touch_and_lag,
+        Part.NOISE: _learn_noise,
+        Part.FRICTION: _learn_friction,
+    }
+    """How each part is learned; what comes next."""

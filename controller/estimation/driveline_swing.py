@@ -17,7 +17,7 @@ import numpy as np
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.lash import LashFigures
-from meshpoint.controller.estimation.likelihood import Learned, learn, prior, restored
+from meshpoint.controller.estimation.likelihood import Learned, Search, prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion
 from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY
@@ -162,28 +162,28 @@ class DrivelineSwing:
             i = FIRST_MODE + 2 * m
             p[i, i], p[i + 1, i + 1] = (speed / natural) ** 2, speed * speed
 
-    def learn(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> Learned:
-        """Learns from a window, an edge's time with it where the teeth are known: returns what is
-        then known of that."""
-        if window.edges.shape[1] < LEAST_EDGES:
-            return edge_time
-        known = [*self._figures, edge_time] if teeth_known else self._figures
+    def search(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> Search:
+        """Looks for the figures in a window, and for an edge's time where the teeth are known."""
         none, switches = Pressures(np.empty(0), np.empty(0)), np.empty((2, 0))
         run, count = CrossingFilter(self._tuning, MAIN_FILTER), window.edges.shape[1]
 
         def deviance(logs: Sequence[float]) -> float:
-            run.set_edge_time(math.exp(logs[EDGE_TIME]) if teeth_known else edge_time.value)
+            run.set_edge_time(math.exp(logs[EDGE_TIME]))
             x, p = window.x.copy(), window.p.copy()
             self.start(x, p, logs)
             run.begin(window.time_us, x, p)
             run.take(window.edges, window.tooth_rad, none, switches, self._motion(logs))
             return run.deviance(count)
 
-        found, _ = learn(known, deviance, (NATURAL,))
-        self._figures = found[:EDGE_TIME]
+        held = () if teeth_known else (EDGE_TIME,)
+        return Search([*self._figures, edge_time], deviance, (NATURAL,), held)
+
+    def take(self, found: Sequence[Learned]) -> Learned:
+        """Takes over what was found in one more window; returns what is known of an edge's time."""
+        self._figures = list(found[:EDGE_TIME])
         self.motion = self._doubting()
         self.shifts += 1
-        return found[EDGE_TIME] if teeth_known else edge_time
+        return found[EDGE_TIME]
 
 
 def _parts(figures: tuple[Learned, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:

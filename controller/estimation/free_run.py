@@ -13,7 +13,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.brake_model import BrakeModel, above_touch
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimation.likelihood import Learned, learn
+from meshpoint.controller.estimation.likelihood import Learned, Search, learn
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.touch_and_lag import best_of
 from meshpoint.controller.motion.kernels import DISTURBANCE, DRAG, GAIN
@@ -91,18 +91,15 @@ class FreeRun:
             brake.take_touch_and_lag(found)
             brake.carry(end.x, end.p, inertia)
 
-    def learn_noise(
-        self, known: list[Learned], brake: BrakeModel, motion: FreeMotion
-    ) -> list[Learned]:
-        """What is known of an edge's time and of the disturbance's torque and memory after this
-        run. An edge's time cannot be distinguished from tooth errors that are not known."""
-        teeth_known, inertia = motion.teeth.learned, motion.inertia_kgm2
+    def search_noise(self, known: list[Learned], brake: BrakeModel, motion: FreeMotion) -> Search:
+        """Looks for an edge's time and for the disturbance's torque and memory in this run. An
+        edge's time cannot be distinguished from tooth errors that are not known: it stays then."""
+        inertia = motion.inertia_kgm2
         edges, pressures = self._edges_by(motion.teeth), brake.above_touch(self.samples)
         law = motion.model.with_law(brake.law())
-        given = known[0].log
 
         def deviance(logs: Sequence[float]) -> float:
-            time_s = math.exp(logs[EDGE_TIME] if teeth_known else given)
+            time_s = math.exp(logs[EDGE_TIME])
             disturbance = Disturbance(math.exp(logs[TORQUE]), math.exp(logs[MEMORY]))
             p = self._p.copy()
             p[DISTURBANCE, DISTURBANCE] = (disturbance.torque_nm / inertia) ** 2
@@ -110,8 +107,7 @@ class FreeRun:
             changed = motion._replace(model=model, edge_time_s=time_s)
             return self._again(edges, pressures, changed, p).deviance(edges.shape[1])
 
-        found = learn(known, deviance).figures
-        return found if teeth_known else [known[0], *found[1:]]
+        return Search(known, deviance, held=() if motion.teeth.learned else (EDGE_TIME,))
 
     def learn_friction(
         self, known: Learned, steady_rad_s: float, brake: BrakeModel, motion: FreeMotion

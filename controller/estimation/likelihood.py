@@ -88,17 +88,21 @@ MOST_SCANNED: Final = 17
 REFINED: Final = 3
 """After a scan, this often values more closely around the best one are tried."""
 TRIED_A_STEP: Final = 3
-"""A step of a search tries so many values of a grid, as many as those of a parabola."""
+"""How many values of a grid a step of a search tries: as many as a parabola takes."""
 
 
 class Search:
     """The figures after one more shift, looked for a little at each `step`."""
 
     def __init__(
-        self, known: Sequence[Learned], deviance: Deviance, scanned: Sequence[int] = ()
+        self,
+        known: Sequence[Learned],
+        deviance: Deviance,
+        scanned: Sequence[int] = (),
+        held: Sequence[int] = (),
     ) -> None:
         """`scanned`: those whose deviance may have several minima; while they are not well known
-        their whole ranges are looked at first."""
+        their whole ranges are looked at first. `held`: those that stay as they are known."""
         self._known = list(known)
         self._grown = [
             replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH))) for one in known
@@ -110,7 +114,8 @@ class Search:
         self._spacings = [_spacing(known[k])[1] for k in self._scanned]
         self._grid = list(itertools.product(*[_grid(known[k]) for k in self._scanned]))
         self._rounds = REFINED if self._scanned else 0
-        self._turns = list(range(len(known))) * SWEEPS
+        self._held = frozenset(held)
+        self._turns = [k for k in range(len(known)) if k not in self._held] * SWEEPS
         self._begun = False
 
     @property
@@ -127,6 +132,8 @@ class Search:
             replace(one, log=log, sd=max(sd, one.least_sd))
             for one, log, sd in zip(self._grown, self._at, self._sds, strict=True)
         ]
+        for k in self._held:
+            figures[k] = self._known[k]
         return Found(figures, self._least)
 
     def step(self) -> None:
@@ -142,7 +149,9 @@ class Search:
 
     def _deviance(self, logs: Sequence[float]) -> float:
         """With what was known before."""
-        off = sum(((log - one.log) / one.sd) ** 2 for log, one in zip(logs, self._grown, strict=True))
+        off = sum(
+            ((log - one.log) / one.sd) ** 2 for log, one in zip(logs, self._grown, strict=True)
+        )
         found = self._of(logs) + off
         return found if math.isfinite(found) else math.inf
 

@@ -9,18 +9,25 @@ predicted better. With a gear in mesh its acceleration is unknown.
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
-from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
+from meshpoint.controller.estimation.driveline_swing import (
+    LEAST_EDGES,
+    DrivelineSwing,
+    EdgeRun,
+    MainWindow,
+)
 from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_cloud import LashCloud
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
 from meshpoint.controller.estimation.lash_start import StartWatch
-from meshpoint.controller.estimation.likelihood import prior, restored
+from meshpoint.controller.estimation.likelihood import Search, prior, restored
 from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline, Shafts
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.wheel_tracker import (
@@ -52,6 +59,16 @@ class Behind(NamedTuple):
 
     axle: Axle = Axle()
     half_gap_rad: float = math.radians(1.0)
+
+
+@dataclass
+class Lesson:
+    """An interval in neutral that has ended, and how far its swing has been learned."""
+
+    swing: DrivelineSwing
+    window: MainWindow
+    teeth_known: bool
+    search: Search | None = None
 
 
 class MainTracker(WheelTracker):
@@ -88,6 +105,9 @@ class MainTracker(WheelTracker):
         self._trajectory: tuple[float, LashTrajectory | None] = (0.0, None)
         """The newest edges' time and the trajectory from then on."""
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
+        self._lessons: deque[Lesson] = deque()
+        self.learned = 0
+        """From how many intervals in neutral the swing has been learned."""
 
     def edges(self, batch: EdgeBatch) -> None:
         """Takes new edges."""
@@ -215,7 +235,7 @@ class MainTracker(WheelTracker):
     def _end_free(self, events: list[str]) -> None:
         self._free = False
         self._end_lash()
-        self._learn_swing()
+        self._keep_window()
         self._learn_teeth("main shaft", events)
         state = self._filter
         state.forget_past()
@@ -237,23 +257,32 @@ class MainTracker(WheelTracker):
     def _let_cloud_go(self) -> None:
         self._cloud, self._trajectory = None, (0.0, None)
 
-    def _learn_swing(self) -> None:
-        """The window's swing, and its teeth once more with what is known of the swing now."""
-        teeth, run, (time_us, x, p) = self.teeth, self._run, self._began
-        edges, places, swing = run.edges, run.places, self._swings[self._range]
-        known = edges
+    def _keep_window(self) -> None:
+        """The window's swing is learned later, by its teeth as they were known in it."""
+        teeth, edges, (time_us, x, p) = self.teeth, self._run.edges, self._began
+        if edges.shape[1] < LEAST_EDGES:
+            return
         if teeth.learned:
-            known = edges.copy()
-            known[1] += teeth.error_rad[places]
-        window = MainWindow(known, time_us, x, p, teeth.sd_rad)
-        self.edge_time = swing.learn(window, self.edge_time, teeth.learned)
-        self._filter.set_edge_time(self.edge_time.value)
-        if teeth.learner.running:
-            start_p = p.copy()
-            swing.start(x, start_p)
-            teeth.learner.begin(time_us, x, start_p)
-            teeth.learner.set_edge_time(self.edge_time.value)
-            teeth.learner.take_all(edges, places, self._teeth_motion(swing.motion))
+            edges[1] += teeth.error_rad[self._run.places]
+        window = MainWindow(edges, time_us, x, p, teeth.sd_rad)
+        self._lessons.append(Lesson(self._swings[self._range], window, teeth.learned))
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether `learn` has something to do: not while the shaft is free, whose figures stay."""
+        return bool(self._lessons) and not self._free
+
+    def learn(self) -> None:
+        """A little more of what an interval in neutral shows of the swing, the oldest first."""
+        lesson = self._lessons[0]
+        if lesson.search is None:
+            lesson.search = lesson.swing.search(lesson.window, self.edge_time, lesson.teeth_known)
+        lesson.search.step()
+        if lesson.search.is_over:
+            self.edge_time = lesson.swing.take(lesson.search.found.figures)
+            self._filter.set_edge_time(self.edge_time.value)
+            self._lessons.popleft()
+            self.learned += 1
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time; None before enough edges, or without any for 60 ms."""

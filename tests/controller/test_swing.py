@@ -15,7 +15,7 @@ from meshpoint.controller.estimation.driveline_swing import (
     MainWindow,
 )
 from meshpoint.controller.estimation.lash import LashFigures
-from meshpoint.controller.estimation.likelihood import prior
+from meshpoint.controller.estimation.likelihood import Learned, prior
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
@@ -162,13 +162,20 @@ def window_of(angle: Any, seed: int) -> MainWindow:
     return MainWindow(edges, 0.0, x, p, 3e-4)
 
 
+def learned(swing: DrivelineSwing, window: MainWindow, edge_time: Learned) -> Learned:
+    search = swing.search(window, edge_time, teeth_known=True)
+    while not search.is_over:
+        search.step()
+    return swing.take(search.found.figures)
+
+
 def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() -> None:
     masses, swing = TwoMasses(spring_nm_rad=26_000.0), DrivelineSwing(TUNING)
     edge_time, rng = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03), np.random.default_rng(1)
     for k in range(3):
         twist, slip = rng.normal(0.0, 0.03), rng.normal(0.0, 3.0)
         window = window_of(lambda t, a=twist, b=slip: masses.angle(a, b, t), k)
-        edge_time = swing.learn(window, edge_time, teeth_known=True)
+        edge_time = learned(swing, window, edge_time)
     natural = swing.motion.part("modes")["natural_rad_s"][0]
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
     record = swing.record(LashFigures(8.0, 0.3, -2.0, 0.5, -4.0, 0.3, 2.0, 0.4), has_lash=True)
@@ -183,7 +190,7 @@ def test_a_driveline_that_does_not_swing_is_not_given_one() -> None:
     swing = DrivelineSwing(TUNING)
     edge_time = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03)
     for k in range(6):
-        edge_time = swing.learn(window_of(lambda t: OMEGA * t, k), edge_time, teeth_known=True)
+        edge_time = learned(swing, window_of(lambda t: OMEGA * t, k), edge_time)
     x, p = np.zeros(SWING_STATES), np.zeros((SWING_STATES, SWING_STATES))
     swing.start(x, p)
     assert math.sqrt(p[4, 4]) < 0.5 * TUNING.near_rad_s
