@@ -180,6 +180,7 @@ class Observer:
 
     def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:
         """One step's messages, at `now_us` of the controller's clock."""
+        self._learn_on()
         self._see_synchronisers(now_us)
         layshaft = self._read(
             self._layshaft_wheel, inputs, EdgesLayshaftRise, EdgesLayshaftFall, now_us
@@ -205,7 +206,6 @@ class Observer:
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
         self._see_load(inputs)
-        self._learn_on()
         if self.recovery is not None:
             self.recovery.measure(events, self._layshaft_wheel.sensor.renumbered)
 
