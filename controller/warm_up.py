@@ -92,7 +92,7 @@ def _warm_up_swing() -> None:
     swing = Swing(shaft.x, shaft.p, model)
     swing.theta_sd_ahead(0.1)
     swing.outlook(0.1, 0.01, 1)
-    swing.trajectory(0.1, 0.1, np.empty((2, 1)))
+    swing.trajectories(np.ones(1), 0.1, np.empty((1, 2, 1)))
     model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), Chance(1.0, 1.0))
     move(np.ones((ROWS, 1)), 1e-3, model_of_lash)
     correct(np.ones((ROWS, 1)), np.ones(1), np.ones(1), np.ones(3), 1.0)

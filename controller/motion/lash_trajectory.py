@@ -130,23 +130,26 @@ class LashTrajectory:
 
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""
-        found = np.empty((2, 1))
-        before = max(0, bisect_right(_TIMES, self.since_s + wait_s) - 1)
-        self._merge(before, min(before + 2, STEPS))
-        self._interpolate(wait_s, 0.0, found)
-        return float(found[0, 0]), float(found[1, 0])
+        wait_s += self.since_s
+        inside = min(max(wait_s, 0.0), _TIMES[-1])
+        before = max(0, bisect_right(_TIMES, inside) - 1)
+        end = min(before + 2, STEPS)
+        self._merge(before, end)
+        angle, speed = (
+            float(np.interp(inside, TIMES[before:end], self._merged[row, before:end]))
+            for row in (0, 1)
+        )
+        return angle + (wait_s - inside) * speed, speed
 
-    def trajectory(self, wait_s: float, step_s: float, found: Vector) -> None:
-        """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
-        (2, n). Before now and after the last step of the trajectory the speed is held."""
+    def trajectories(self, waits_s: Vector, step_s: float, found: Vector) -> None:
+        """Angle and speed at equal steps of time, the first after each of `waits_s` (m,), to found
+        (m, 2, n). Before now and after the last step of the trajectory the speed is held."""
         self._merge(0, STEPS)
-        self._interpolate(wait_s, step_s, found)
-
-    def _interpolate(self, wait_s: float, step_s: float, found: Vector) -> None:
-        waits = self.since_s + wait_s + step_s * np.arange(found.shape[1])
+        steps = step_s * np.arange(found.shape[2])
+        waits = self.since_s + waits_s[:, np.newaxis] + steps
         inside = np.clip(waits, 0.0, STEP_S * (STEPS - 1))
-        found[1] = np.interp(inside, TIMES, self._merged[1])
-        found[0] = np.interp(inside, TIMES, self._merged[0]) + (waits - inside) * found[1]
+        found[:, 1] = np.interp(inside, TIMES, self._merged[1])
+        found[:, 0] = np.interp(inside, TIMES, self._merged[0]) + (waits - inside) * found[:, 1]
 
     def theta_sd_ahead(self, wait_s: float) -> float:
         """Standard deviation of the angle after a time."""

@@ -14,7 +14,7 @@ from meshpoint.controller.motion.swing_kernels import (
     SWING_MODEL,
     swing_ahead,
     swing_outlook,
-    swing_trajectory,
+    swing_trajectories,
 )
 from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.units import US
@@ -69,9 +69,9 @@ class Swing(NamedTuple):
 
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""
-        found = np.empty((2, 1))
-        swing_trajectory(self.x, self.model.flat, wait_s, 0.0, found)
-        return float(found[0, 0]), float(found[1, 0])
+        found = np.empty((1, 2, 1))
+        swing_trajectories(self.x, self.model.flat, np.array([wait_s]), 0.0, found)
+        return found.item(0), found.item(1)
 
     def spread_ahead(self, wait_s: float) -> tuple[Vector, Vector]:
         """State and covariance after a time."""
@@ -92,10 +92,10 @@ class Swing(NamedTuple):
         swing_outlook(self.x, self.p, self.model.flat, edges, found)
         return found
 
-    def trajectory(self, wait_s: float, step_s: float, found: Vector) -> None:
-        """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
-        (2, n)."""
-        swing_trajectory(self.x, self.model.flat, wait_s, step_s, found)
+    def trajectories(self, waits_s: Vector, step_s: float, found: Vector) -> None:
+        """Angle and speed at equal steps of time, the first after each of `waits_s` (m,), to found
+        (m, 2, n)."""
+        swing_trajectories(self.x, self.model.flat, waits_s, step_s, found)
 
 
 class ShaftState(NamedTuple):
@@ -153,13 +153,14 @@ class ShaftState(NamedTuple):
         found = self.swing.outlook(horizon_s, OUTLOOK_US * US, ticks_over(step_us, count))
         return between_ticks(found, step_us, count)
 
-    def trajectory(self, first_us: float, step_us: float, count: int) -> Vector:
-        """Angle and speed (2, count) at equal steps of time."""
-        found = np.empty((2, count))
+    def trajectories(self, firsts_us: Sequence[float], step_us: float, count: int) -> Vector:
+        """Angle and speed (m, 2, count) at equal steps of time, from each of m times on."""
+        found, waits_us = np.empty((len(firsts_us), 2, count)), np.array(firsts_us) - self.time_us
         if self.swing is not None:
-            self.swing.trajectory((first_us - self.time_us) * US, step_us * US, found)
+            self.swing.trajectories(waits_us * US, step_us * US, found)
             return found
-        dt = (first_us - self.time_us + step_us * np.arange(count)) * US
-        found[1] = self.omega_rad_s + dt * self.acceleration_rad_s2
-        found[0] = self.theta_rad + dt * (self.omega_rad_s + 0.5 * dt * self.acceleration_rad_s2)
+        dt = (waits_us[:, np.newaxis] + step_us * np.arange(count)) * US
+        speed, half = self.omega_rad_s, 0.5 * dt * self.acceleration_rad_s2
+        found[:, 1] = speed + dt * self.acceleration_rad_s2
+        found[:, 0] = self.theta_rad + dt * (speed + half)
         return found

@@ -223,18 +223,20 @@ def swing_through(
 
 
 @compiled
-def swing_trajectory(x: Vector, model: Vector, wait_s: float, step_s: float, found: Vector) -> None:
-    """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
-    (2, n)."""
+def swing_trajectories(
+    x: Vector, model: Vector, waits_s: Vector, step_s: float, found: Vector
+) -> None:
+    """Angle and speed at equal steps of time, the first after each of `waits_s` (m,), to found
+    (m, 2, n)."""
     state, motion = new_record(SWING_STATE), record_on(model, SWING_MODEL)
-    copy_on(x, state.x)
-    step = new_record(SWING_STEP)
-    swing_step(wait_s, motion, step)
-    for k in range(found.shape[1]):
-        if k == 1:
-            swing_step(step_s, motion, step)
-        swing_on(state, step)
-        found[0, k], found[1, k] = state.theta_rad, state.omega_rad_s
+    first, step = new_record(SWING_STEP), new_record(SWING_STEP)
+    swing_step(step_s, motion, step)
+    for m in range(found.shape[0]):
+        copy_on(x, state.x)
+        swing_step(waits_s[m], motion, first)
+        for k in range(found.shape[2]):
+            swing_on(state, first if k == 0 else step)
+            found[m, 0, k], found[m, 1, k] = state.theta_rad, state.omega_rad_s
 
 
 @compiled

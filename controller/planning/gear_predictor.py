@@ -188,7 +188,7 @@ class GearPredictor:
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         meeting = self._meeting(first_us, step_us)
-        found = self.main.trajectory(first_us, step_us, count)
+        found = self.main.trajectories([first_us], step_us, count)[0]
         trajectory(self.layshaft.vector, switches, self.model.flat, meeting, found)
         return Trajectory(first_us, step_us, found[0], found[1])
 
@@ -197,10 +197,7 @@ class GearPredictor:
     ) -> Vector:
         """Phase and slip as `trajectory` has them, of the brake released at each of `releases_us`,
         from a time of its own on: (m, 2, count), one release a row."""
-        found = np.empty((len(releases_us), 2, count))
-        for k, first_us in enumerate(firsts_us):
-            is_same = k > 0 and first_us == firsts_us[k - 1]
-            found[k] = found[k - 1] if is_same else self.main.trajectory(first_us, step_us, count)
+        found = self.main.trajectories(firsts_us, step_us, count)
         off_us, meeting = self.brake.off_delay_us, self._meeting(firsts_us[0], step_us)
         reacts_us = [release_us + off_us for release_us in releases_us]
         releases = np.array((releases_us, reacts_us, firsts_us), dtype=np.float64)

@@ -120,10 +120,10 @@ def test_seen_from_later_it_is_the_same_trajectory() -> None:
         assert later.ahead(wait_s) == pytest.approx(first.ahead(wait_s + 0.025))
         assert later.theta_sd_ahead(wait_s) == pytest.approx(first.theta_sd_ahead(wait_s + 0.025))
     assert first.since_s == 0.0
-    found, alone = np.empty((2, 9)), first.after(0.025)
-    later.trajectory(0.004, 0.003, found)
+    found, alone = np.empty((1, 2, 9)), first.after(0.025)
+    later.trajectories(np.array([0.004]), 0.003, found)
     for k in range(9):
-        assert found[:, k] == pytest.approx(alone.ahead(0.004 + 0.003 * k))
+        assert found[0, :, k] == pytest.approx(alone.ahead(0.004 + 0.003 * k))
 
 
 def test_the_angle_is_that_of_the_drivelines_most_of_which_share_a_gap() -> None:
@@ -208,9 +208,9 @@ def scattered() -> Vector:
 
 def test_a_step_asked_for_alone_is_that_of_the_whole_trajectory_to_the_bit() -> None:
     whole = trajectory_of(scattered(), nis=1.3)
-    found = np.empty((2, 2 * STEPS))
-    whole.trajectory(-STEP_S, 0.7 * STEP_S, found)
-    for k, (angle, speed) in enumerate(found.T.tolist()):
+    found = np.empty((1, 2, 2 * STEPS))
+    whole.trajectories(np.array([-STEP_S]), 0.7 * STEP_S, found)
+    for k, (angle, speed) in enumerate(found[0].T.tolist()):
         alone, wait_s = trajectory_of(scattered(), nis=1.3), -STEP_S + 0.7 * STEP_S * k
         assert alone.ahead(wait_s) == (angle, speed)
         again = trajectory_of(scattered(), nis=1.3)

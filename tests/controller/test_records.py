@@ -126,7 +126,7 @@ main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.0, 0.0]), np.diag(np.lins
 main.take(edges * [[1.0], [0.9]], 1e-3, Pressures(np.empty(0), np.empty(0)), switches, motion)
 swing = Swing(main.x, main.p, motion)
 ahead = np.empty((2, 20))
-swing.trajectory(1e-3, 2e-3, ahead)
+swing.trajectories(np.array([1e-3]), 2e-3, ahead[np.newaxis])
 meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
     reference_rad=0.1, main_us=0.0, drift_rad_s=0.02)
 trajectory(x.copy(), switches, model.flat, meeting, ahead)

@@ -279,7 +279,9 @@ def test_a_shaft_that_does_not_swing_keeps_its_acceleration() -> None:
     assert BARE.theta_at(1.8e6) == pytest.approx(1.0 - 12.0 - 0.1)
     assert BARE.theta_sd_at(2.2e6) == pytest.approx(math.hypot(3e-3, 8e-3))
     expected = [[1.0 + 60.0 * t - 2.5 * t * t for t in (0.1, 0.15, 0.2)], [59.5, 59.25, 59.0]]
-    assert BARE.trajectory(2.1e6, 50e3, 3) == pytest.approx(np.array(expected))
+    assert BARE.trajectories([2.1e6, 2.15e6], 50e3, 2) == pytest.approx(
+        np.array([[row[:2] for row in expected], [row[1:] for row in expected]])
+    )
     assert BARE.variances(2.1e6, 2e3, 3) == pytest.approx([9e-6 + 0.01 * 0.0016] * 3)
 
 
@@ -297,7 +299,9 @@ def test_a_shaft_that_swings_goes_on_as_its_swing_does_and_the_vehicle_without_i
         variance = swing.spread_ahead(wait_s)[1][0, 0]
         assert shaft.theta_sd_at(at_us) == pytest.approx(math.sqrt(variance))
         each = np.array([swing.ahead(wait_s + 7e-3 * k) for k in range(4)]).T
-        assert shaft.trajectory(at_us, 7e3, 4) == pytest.approx(each)
+        assert shaft.trajectories([at_us, at_us + 7e3], 7e3, 3) == pytest.approx(
+            np.array([each[:, :3], each[:, 1:]])
+        )
         ticks = swing.outlook(wait_s, 0.01, 4)
         between = np.interp(0.5 * np.arange(6), np.arange(4), ticks)
         assert shaft.variances(at_us, 5e3, 6) == pytest.approx(between)
