@@ -231,6 +231,7 @@ class MainTracker(WheelTracker):
         self._began = (time_us, x.copy(), p.copy())
         self._run.begin()
         self.teeth.learner.begin(time_us, x, p)
+        self.teeth.learner.set_edge_time(self.edge_time.value)
 
     def _end_free(self, events: list[str]) -> None:
         self._free = False
