@@ -11,6 +11,7 @@ from meshpoint.controller.estimation.lash_cloud import correct
 from meshpoint.controller.estimation.loaded_kernels import (
     LOADED_MODEL,
     LOADED_STATES,
+    follow_loaded,
     loaded_ahead,
 )
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
@@ -98,4 +99,8 @@ def _warm_up_swing() -> None:
     correct(np.ones((ROWS, 1)), np.ones(1), np.ones(1), np.ones(3), 1.0)
     LashTrajectory(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)
     loaded = np.ones((LOADED_STATES, LOADED_STATES))
-    loaded_ahead(loaded[0].copy(), loaded, 1e-3, np.ones(LOADED_MODEL.itemsize // WORD_BYTES))
+    model_of_load = np.ones(LOADED_MODEL.itemsize // WORD_BYTES)
+    loaded_ahead(loaded[0].copy(), loaded, 1e-3, model_of_load)
+    follow_loaded(
+        loaded[0].copy(), loaded, np.zeros(2), np.ones((2, 1)), 1.0, np.ones(2), model_of_load
+    )

@@ -14,6 +14,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.edge_measurements import grouped
 from meshpoint.controller.estimation.loaded_kernels import (
+    FOLLOWED,
     GEAR,
     GEAR_SPEED,
     HILL,
@@ -25,10 +26,12 @@ from meshpoint.controller.estimation.loaded_kernels import (
     VEHICLE_INVERSE,
     WHEELS,
     WRONG,
+    follow_loaded,
     loaded_ahead,
 )
-from meshpoint.controller.records import Vector, filled
+from meshpoint.controller.records import RecordMemory, Vector, filled
 from meshpoint.gearbox import DriveGear, GearboxSheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import US
 
 MEASUREMENT_US: Final = 4000.0
@@ -44,13 +47,6 @@ LEAST_EDGES: Final = 4
 MEASUREMENT_RAD: Final = math.radians(0.1)
 """Standard deviation of a measurement at the gear, at the main shaft: it lies anywhere in the
 backlash of its mesh."""
-MOST_OFF: Final = 4.0
-"""A measurement that is further off, in standard deviations, counts as so far off."""
-LOST: Final = 25.0
-"""Mean square of how far off measurements are, in variances, with which it has lost the
-driveline."""
-NIS_KEPT: Final = 0.9
-"""Weight of the mean normalised innovation squared so far, against a new one."""
 START_NM: Final = 1000.0
 """What the shafts may carry beyond what the engine says, before anything was seen."""
 START_RAD: Final = 0.02
@@ -109,25 +105,61 @@ class BehindState(NamedTuple):
     """Half of the backlash by which it was found."""
 
 
+class InGear(NamedTuple):
+    """What a gear makes of the shafts: ratios, and what turns and drags at the propeller shaft."""
+
+    overall: float
+    """Crankshaft over propeller shaft."""
+    layshaft: float
+    """Layshaft over propeller shaft."""
+    main: float
+    """Turns of the main shaft for one of the layshaft."""
+    range_: float
+    """Turns of the propeller shaft for one of the main shaft."""
+    turned_kgm2: float
+    """The clutch open."""
+    loose_nm: float
+    """Drag behind the gearbox."""
+
+
+def in_gear(sheet: GearboxSheet, gear: DriveGear) -> InGear:
+    """Of a gear of this sheet."""
+    axle, behind, overall = (
+        sheet.axle,
+        sheet.range_mesh(gear.range_).ratio,
+        sheet.overall_ratio(gear),
+    )
+    turned = axle.propeller_kgm2 + axle.main_kgm2 / behind**2
+    turned += sheet.geared_kgm2(gear)
+    return InGear(
+        overall,
+        overall * sheet.split_mesh(gear.split).ratio,
+        sheet.main_mesh(gear.main).ratio,
+        behind,
+        turned,
+        axle.loose_nm / behind,
+    )
+
+
 class LoadedDriveline:
     """Follows the driveline while a gear is in mesh."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
+        self._gears = {gear: in_gear(sheet, gear) for gear in DRIVE_GEARS.values()}
         self._gear: DriveGear | None = None
         self._carried = False
-        self._model = np.zeros(0)
+        self._model, self._followed = np.zeros(0), RecordMemory(FOLLOWED)
         self._x, self._p = np.zeros(LOADED_STATES), np.zeros((LOADED_STATES, LOADED_STATES))
         least, most = sheet.driveline.vehicle_kgm2
-        self._inverses = (1.0 / most, 1.0 / least)
+        self._inverses = np.array((1.0 / most, 1.0 / least))
         self.lose()
 
     def lose(self) -> None:
         """Teeth or times were lost: begins anew with the next measurements."""
         self._first: list[tuple[float, float]] = []
-        self._running, self._apart = False, math.nan
-        self._time_us = self._began_us = 0.0
-        self._nis = 1.0
+        self._running, self._apart, self._began_us = False, math.nan, 0.0
+        self._followed.part("time_us")[0], self._followed.part("nis")[0] = 0.0, 1.0
 
     def take(
         self, gear: DriveGear | None, layshaft: Vector, main: Vector, load: Load, shafts: Shafts
@@ -139,30 +171,40 @@ class LoadedDriveline:
         if gear is not self._gear:
             self._gear = gear
             self.lose()
-        sheet = self._sheet
-        behind = sheet.range_mesh(gear.range_).ratio
-        edges = np.array((layshaft[0], layshaft[1] * behind * sheet.main_mesh(gear.main).ratio))
-        tooth = _tooth_rad(edges, main[0], behind * main[1])
+        mesh = self._gears[gear]
+        edges = np.array((layshaft[0], layshaft[1] * mesh.range_ * mesh.main))
+        tooth = _tooth_rad(edges, main[0], mesh.range_ * main[1])
         self._apart = tooth if math.isnan(self._apart) else self._apart
-        self._load(gear, load, shafts, tooth - self._apart)
-        for time_us, angle in zip(*grouped(edges, MEASUREMENT_US), strict=True):
-            if not self._running:
-                self._begin(float(time_us), float(angle), gear, shafts)
-            elif time_us > self._time_us:
-                self._measure(float(time_us), float(angle), MEASUREMENT_RAD * behind)
+        self._load(mesh, load, shafts, tooth - self._apart)
+        measurements = np.array(grouped(edges, MEASUREMENT_US))
+        while measurements.shape[1]:
+            if self._running:
+                measurements = self._measure(measurements, mesh)
+            else:
+                time_us, angle = measurements[:, 0].tolist()
+                self._begin(time_us, angle, mesh, shafts)
+                measurements = measurements[:, 1:]
 
-    def _load(self, gear: DriveGear, load: Load, shafts: Shafts, tooth_rad: float) -> None:
+    def _measure(self, measurements: Vector, mesh: InGear) -> Vector:
+        """Returns what is left of them where it has lost the driveline."""
+        own_rad2 = (MEASUREMENT_RAD * mesh.range_) ** 2
+        taken = follow_loaded(
+            self._x, self._p, self._followed.flat, np.ascontiguousarray(measurements), own_rad2,
+            self._inverses, self._model,
+        )  # fmt: skip
+        if taken < measurements.shape[1]:
+            self.lose()
+        return measurements[:, taken + 1 :]
+
+    def _load(self, mesh: InGear, load: Load, shafts: Shafts, tooth_rad: float) -> None:
         """What the kernel takes as known in this step."""
-        sheet, axle = self._sheet, self._sheet.axle
-        behind, ratio = sheet.range_mesh(gear.range_).ratio, sheet.overall_ratio(gear)
-        layshaft = ratio * sheet.split_mesh(gear.split).ratio
-        turned = axle.propeller_kgm2 + axle.main_kgm2 / behind**2
-        turned += sheet.geared_kgm2(gear)
-        drag_nm = layshaft * load.drag_nm + axle.pinion_nm + axle.loose_nm / behind
+        engine, axle, ratio = self._sheet.engine, self._sheet.axle, mesh.overall
+        turned = mesh.turned_kgm2
+        drag_nm = mesh.layshaft * load.drag_nm + axle.pinion_nm + mesh.loose_nm
         driving_nm, wrong_nm = -drag_nm, OPEN_NM
         if load.carries:
-            turned += sheet.engine.inertia_kgm2 * ratio**2
-            driving_nm, wrong_nm = ratio * load.torque_nm - drag_nm, sheet.engine.error_nm
+            turned += engine.inertia_kgm2 * ratio**2
+            driving_nm, wrong_nm = ratio * load.torque_nm - drag_nm, engine.error_nm
         elif self._carried and self._running:
             # The plates have parted: what the engine's torque was taken for wrongly is gone.
             self._x[WRONG], self._p[WRONG, :], self._p[:, WRONG] = 0.0, 0.0, 0.0
@@ -190,7 +232,7 @@ class LoadedDriveline:
             fading_s=2.0 * FADING_SHARE**2 * FADING_MEMORY_S,
         )
 
-    def _begin(self, time_us: float, angle: float, gear: DriveGear, shafts: Shafts) -> None:
+    def _begin(self, time_us: float, angle: float, mesh: InGear, shafts: Shafts) -> None:
         """Collects the first measurements, and starts from a line through them: the shafts may
         carry anything, the vehicle may be anyone's of the sheet."""
         self._first.append((time_us, angle))
@@ -209,32 +251,17 @@ class LoadedDriveline:
         sds[GEAR], sds[GEAR_SPEED], sds[[WHEELS, VEHICLE]] = START_RAD, START_RAD_S, START_RAD_S
         sds[TWIST] = shafts.half_lash_rad + START_NM / shafts.stiffness_nm_rad
         sds[TYRE], sds[HILL] = START_NM / axle.tyre_nm_rad, axle.vehicle_rad_s2
-        sds[WRONG] = self._sheet.overall_ratio(gear) * self._sheet.engine.error_nm
+        sds[WRONG] = mesh.overall * self._sheet.engine.error_nm
         sds[VEHICLE_INVERSE] = (most - least) / math.sqrt(12.0)
         self._p[np.diag_indices(LOADED_STATES)] = sds**2
-        self._time_us = self._began_us = time_us
-        self._nis, self._running = 1.0, True
-
-    def _measure(self, time_us: float, angle: float, sd_rad: float) -> None:
-        x, p = self._x, self._p
-        loaded_ahead(x, p, (time_us - self._time_us) * US, self._model)
-        self._time_us = time_us
-        off, variance = angle - x[GEAR], p[GEAR, GEAR] + sd_rad**2
-        square = off * off / variance
-        self._nis = NIS_KEPT * self._nis + (1.0 - NIS_KEPT) * square
-        if not self._nis < LOST:  # nor where it is no number
-            self.lose()
-            return
-        gain = p[:, GEAR] / (variance * max(1.0, square / MOST_OFF**2))
-        x += gain * off
-        p -= gain[:, np.newaxis] * p[GEAR]
-        p[:] = 0.5 * (p + p.T)
-        x[VEHICLE_INVERSE] = min(max(x[VEHICLE_INVERSE], self._inverses[0]), self._inverses[1])
+        self._followed.part("time_us")[0] = self._began_us = time_us
+        self._followed.part("nis")[0], self._running = 1.0, True
 
     def behind(self, time_us: float) -> BehindState | None:
         """The driveline behind the gearbox at a time soon after the newest measurement; None where
         the gear was not followed for long enough."""
-        ahead_s, followed_s = (time_us - self._time_us) * US, (self._time_us - self._began_us) * US
+        newest_us = float(self._followed.part("time_us")[0])
+        ahead_s, followed_s = (time_us - newest_us) * US, (newest_us - self._began_us) * US
         if not self._running or followed_s < LEAST_S or not 0.0 <= ahead_s < LATE_S:
             return None
         x, p, model = self._x.copy(), self._p.copy(), self._model

@@ -25,12 +25,20 @@ import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined, record_on
 from meshpoint.controller.records import Vector, layout_of
+from meshpoint.units import US
 
 GEAR, GEAR_SPEED, TWIST, WHEELS, TYRE, VEHICLE, HILL, WRONG, VEHICLE_INVERSE = range(9)
 """Rows of the state: `theta_G, w_G, v, w_A, y, w_V, g, b, 1 / J_V`."""
 LOADED_STATES: Final = 9
 LONGEST_S: Final = 1.3e-3
 """A step is no longer: the wheels' mode turns by 0.1 rad in it at 13 Hz."""
+MOST_OFF: Final = 4.0
+"""A measurement that is further off, in standard deviations, counts as so far off."""
+LOST: Final = 25.0
+"""Mean square of how far off measurements are, in variances, with which it has lost the
+driveline."""
+NIS_KEPT: Final = 0.9
+"""Weight of the mean normalised innovation squared so far, against a new one."""
 LEAST_SD: Final = 1e-5
 """An angle is never known so well that the backlash has corners."""
 
@@ -78,6 +86,56 @@ def beyond_flanks(angle: float, sd: float, half: float) -> tuple[float, float]:
     edges = math.exp(-0.5 * over * over) - math.exp(-0.5 * under * under)
     mean = (angle - half) * above + (angle + half) * below + sd * edges / math.sqrt(2.0 * math.pi)
     return mean, above + below
+
+
+class Followed:
+    """How far the driveline has been followed."""
+
+    time_us: float
+    """Of the state."""
+    nis: float
+    """Mean normalised innovation squared, the newest ones first."""
+
+
+FOLLOWED: Final = layout_of(Followed)
+
+
+@compiled
+def follow_loaded(
+    x: Vector, p: Vector, so_far: Vector, measurements: Vector, own_rad2: float, inverses: Vector,
+    flat: Vector,
+) -> int:  # fmt: skip
+    """State and covariance after measurements (2, n) of the gear: times (us) and angles (rad), of
+    which those not after the state's time are left out. Returns the one at which the driveline was
+    lost, and none after that was taken; n where it was not.
+
+    so_far: a `Followed`; own_rad2: variance of a measurement; inverses (2,): of the vehicle's
+    inertia, least and most; flat: a `LoadedModel`."""
+    followed = record_on(so_far, FOLLOWED)
+    gain, row = np.empty(LOADED_STATES), np.empty(LOADED_STATES)
+    for m in range(measurements.shape[1]):
+        time_us = measurements[0, m]
+        if not time_us > followed.time_us:
+            continue
+        loaded_ahead(x, p, (time_us - followed.time_us) * US, flat)
+        followed.time_us = time_us
+        off, variance = measurements[1, m] - x[GEAR], p[GEAR, GEAR] + own_rad2
+        square = off * off / variance
+        followed.nis = NIS_KEPT * followed.nis + (1.0 - NIS_KEPT) * square
+        if not followed.nis < LOST:  # nor where it is no number
+            return int(m)
+        scale = variance * max(1.0, square / MOST_OFF**2)
+        for i in range(LOADED_STATES):
+            gain[i], row[i] = p[i, GEAR] / scale, p[GEAR, i]
+        for i in range(LOADED_STATES):
+            x[i] += gain[i] * off
+            for j in range(LOADED_STATES):
+                p[i, j] -= gain[i] * row[j]
+        for i in range(LOADED_STATES):
+            for j in range(i + 1):
+                p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
+        x[VEHICLE_INVERSE] = min(max(x[VEHICLE_INVERSE], inverses[0]), inverses[1])
+    return int(measurements.shape[1])
 
 
 @compiled
