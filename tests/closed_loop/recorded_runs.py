@@ -67,7 +67,8 @@ def fault(at_ms: int, kind: RigFault, target: int, value: float, for_ms: int) ->
 
 
 def made(**other: Any) -> Setup:
-    """A run of two shifts of the same pair: the second one knows its gear's phase, and aims."""
+    """A run of two shifts of the same pair: the second one knows its gear's phase, and aims. By the
+    driveline behind the gearbox it aims only after some more (`typical_on_and_on`)."""
     usual = {"sheet": TRUCK12, "settings": PLAIN, "shifts": 2, "pairs": ((8, 10),)}
     return Setup(**(usual | other))  # type: ignore[arg-type]
 
@@ -82,6 +83,7 @@ RUNS: Final[dict[str, Setup]] = {
     "typical_1": made(seed=1),
     "typical_2": made(seed=2, pairs=((12, 10),)),
     "typical_3": made(seed=3, pairs=((5, 7),)),
+    "typical_on_and_on": made(seed=4, shifts=7),
     "harsh": made(profile=Profile.HARSH, seed=2),
     "faulted_sensors": made(profile=Profile.CLEAN, seed=5, faults=(
         fault(500, RigFault.HALL_MISSING_TOOTH, 2, 3.0, 300),
