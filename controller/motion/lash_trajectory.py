@@ -5,14 +5,20 @@ from __future__ import annotations
 import copy
 import math
 from bisect import bisect_right
-from itertools import accumulate
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.controller.jit import DISABLED, compiled, inlined
-from meshpoint.controller.motion.lash_motion import HILL, SPEED, VEHICLE, LashModel, move_often
+from meshpoint.controller.motion.lash_motion import (
+    HILL,
+    SPEED,
+    VEHICLE,
+    LashModel,
+    each,
+    move_often,
+)
 from meshpoint.controller.records import Integers, Vector
 
 STEP_S: Final = 2.5e-3
@@ -178,12 +184,12 @@ class LashTrajectory:
         known = self._p[0, 0] + LEAST_SD_RAD**2
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
-        # One row of NumPy's after the other: along the first axis it takes three times as long.
-        widest = list(accumulate(_apart(angle[: then[-1] + 1]), np.maximum))
-        most = np.array([widest[place] for place in then.tolist()])
+        most = np.empty((MOST_TICKS, angle.shape[1], angle.shape[1]))
+        widest_apart(np.ascontiguousarray(angle), then, most)
         weights = np.exp(-0.25 * most**2 / known)
         weights /= weights.sum(axis=2, keepdims=True)
-        near = _apart(angle[later]) < self._half_gap_rad
+        there = angle[later]
+        near = np.abs(there[:, :, np.newaxis] - there[:, np.newaxis]) < self._half_gap_rad
         shares = (weights * near).sum(axis=2).mean(axis=1)
         width = math.sqrt(own[min(round(horizon_s / STEP_S), STEPS - 1)])
         shares *= math.erf(self._half_gap_rad / (math.sqrt(2.0) * width))
@@ -196,9 +202,22 @@ def _width(share: Vector) -> Vector:
     return np.asarray(np.maximum(np.interp(share, _TABLE, _WIDTHS), 1e-2))
 
 
-def _apart(angle: Vector) -> Vector:
-    """How far any two of a row's angles (m, n) are apart, (m, n, n)."""
-    return np.abs(angle[:, :, np.newaxis] - angle[:, np.newaxis])
+@compiled
+def widest_apart(angle: Vector, rows: Integers, most: Vector) -> None:
+    """How far any two columns of angles (m, n) have been apart in any row up to each of some rows,
+    in ascending order: most (k, n, n)."""
+    last, noted = rows.shape[0] - 1, 0
+    most[last] = 0.0
+    for row in range(angle.shape[0]):
+        for i in range(angle.shape[1]):
+            for j in each(angle.shape[1]):
+                apart = np.abs(angle[row, i] - angle[row, j])
+                most[last, i, j] = np.maximum(most[last, i, j], apart)
+        while rows[noted] == row:
+            if noted == last:
+                return
+            most[noted] = most[last]
+            noted += 1
 
 
 Fullest = tuple[Integers, Integers, Integers]
