@@ -14,6 +14,7 @@ from benchmarks import (
     bench_replay,
     bench_rig,
     bench_rig_live,
+    bench_step,
     bench_virtual_time,
 )
 
@@ -40,6 +41,7 @@ if __name__ == "__main__":
         bench_filter,
         bench_rig,
         bench_rig_live,
+        bench_step,
         bench_controller_live,
         bench_virtual_time,
         bench_replay,
