@@ -35,6 +35,8 @@ def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     context.clutch = ClutchAction.OPEN
     if shift.clutch_us is None:
         shift.clutch_us = snapshot.now_us
+        # What the first plan asks for is worked out here: its step has enough to do.
+        context.sleeves.abort_after_us(shift.target.main)
     gear = snapshot.view.main_gear
     pulls = None if gear is None else OPPOSITE.get(gear)
     unloaded_us = context.unloaded_us(snapshot, pulls)

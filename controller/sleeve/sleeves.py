@@ -115,6 +115,7 @@ class Sleeves:
         self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
         self._unlearned = DrivenSleeve(self._law, prior)
+        self._sheets_pulse_us: dict[tuple[int, float], int] = {}
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
         """A main valve's coil switches then (known in advance, or since); this replaces what was
@@ -341,13 +342,23 @@ class Sleeves:
         withstood_us = self._sleeves[sleeve].withstood_us
         in_gear = abs(from_m) > self._law.in_gear_m
         before_us = withstood_us.get((direction, in_gear), 0)
-        by_law_us = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0, 0.0)
+        by_law_us = self._by_sheet_us(direction, from_m)
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
         is_taught = self._sleeves[sleeve].movements >= TAUGHT
         first_us = min(by_law_us, max(bound_us, REACT_US)) * (1.0 if is_taught else FIRST_SHARE)
         more_us = A_LITTLE_US if is_taught or not in_gear else 0
         return max(int(first_us) + longer_us, before_us + more_us)
+
+    def _by_sheet_us(self, direction: int, from_m: float) -> int:
+        """The pulse that brings the data sheet's sleeve to neutral. Gears are pulled from the same
+        place each time: what was found is kept."""
+        found = self._sheets_pulse_us.get((direction, from_m))
+        if found is None:
+            found = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0, 0.0)
+            if abs(from_m) == self._law.stroke_m:
+                self._sheets_pulse_us[direction, from_m] = found
+        return found
 
     def _pulse(
         self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0,
