@@ -105,6 +105,8 @@ class Sleeves:
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
         """By gear: for what it was worked out, and so long after a firing the last abort comes."""
+        self._learned: set[Sleeve] = set()
+        """Those of which this step has learned something."""
         self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
         self.supply_pa = self._law.sheet_pa
         self._chances = {gear: ContactChance(sheet.sleeve) for gear in MAIN_GEARS}
@@ -141,12 +143,15 @@ class Sleeves:
     def take(self, view: GearboxView, now_us: int) -> None:
         """Each step: the newest position samples. Where a movement is over, it is learned from."""
         self._now_us = now_us
+        self._learned.clear()
         for sleeve, tracked in self._sleeves.items():
             track = view.tracks.get(sleeve)
             if track is None:
                 continue
-            before = tracked.contact
+            before, version = tracked.contact, tracked.version
             tracked.take(track)
+            if tracked.version != version:
+                self._learned.add(sleeve)
             if tracked.contact is not None and tracked.contact is not before:
                 self._learn_contact(_GEAR_AT[sleeve, tracked.contact.direction], tracked.contact)
 
@@ -274,12 +279,14 @@ class Sleeves:
         return stops(tracked, side.direction, tracked.fired(side.direction, fire_us), at_us)
 
     def abort_after_us(self, gear: MainGear) -> int:
-        """So long after a firing from neutral the sleeve can last be stopped short of the teeth."""
+        """So long after a firing from neutral the sleeve can last be stopped short of the teeth. In
+        a step that learns from a movement, which takes long enough, by what was known before."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
         found = self._abort_after.get(gear)
-        if found is None or found[0] != known:
+        is_old = found is not None and found[0] != known and side.sleeve not in self._learned
+        if found is None or is_old:
             last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
             found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
         return found[1]
