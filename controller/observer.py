@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
@@ -53,6 +55,15 @@ DRAGGED_US = 30_000
 CLUTCH_BITES_SHARE = 0.2
 
 
+class ShiftFindings(NamedTuple):
+    """What a shift sequence has found that the estimates need."""
+
+    pressed_nm: float
+    """What is left in the shafts as a gear comes out (`DrivelineMeasurement.pressed_nm`)."""
+    kiss_share: float
+    """Where the clutch's plates begin to carry."""
+
+
 class Observer:
     """Estimates and measurements of the gearbox, updated at each step."""
 
@@ -77,10 +88,7 @@ class Observer:
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
-        self.pressed_nm = 0.0
-        """What is left in the shafts as a gear comes out (`DrivelineMeasurement.pressed_nm`)."""
-        self.kiss_share = sheet.clutch.kiss_share
-        """Where the clutch's plates begin to carry, as far as it is known."""
+        self._no_shifts = ShiftFindings(0.0, sheet.clutch.kiss_share)
         self._loaded = LoadedDriveline(sheet)
         self._torque_nm: float | None = None
         """The engine's, as it said last."""
@@ -178,8 +186,16 @@ class Observer:
         motion = free_motion(sheet, split, law, self._tuning, disturbance, friction_nms)
         self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
-    def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:
-        """One step's messages, at `now_us` of the controller's clock."""
+    def take(
+        self,
+        inputs: StepInputs,
+        now_us: int,
+        events: list[str],
+        found: ShiftFindings | None = None,
+    ) -> None:
+        """One step's messages, at `now_us` of the controller's clock. found: by the shifts so far;
+        None where this observer makes none."""
+        found = found or self._no_shifts
         self._learn_on()
         self._see_synchronisers(now_us)
         layshaft = self._read(
@@ -199,13 +215,13 @@ class Observer:
             self._loaded.lose()
         if not self.layshaft.free and self._is_free:
             layshaft, main = self._take_in_gear(layshaft, main)
-        self._see_whether_free(events)
+        self._see_whether_free(events, found.pressed_nm)
         self._main.edges(main)
         if self._main_dragged:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
-        self._see_load(inputs)
+        self._see_load(inputs, found.kiss_share)
         if self.recovery is not None:
             self.recovery.measure(events, self._layshaft_wheel.sensor.renumbered)
 
@@ -237,7 +253,7 @@ class Observer:
             return 0
         return layshaft.learned + main.learned
 
-    def _see_load(self, inputs: StepInputs) -> None:
+    def _see_load(self, inputs: StepInputs, kiss_share: float) -> None:
         """Follows what loads the gear in mesh."""
         if inputs.engine:
             said = inputs.engine[-1]
@@ -253,7 +269,7 @@ class Observer:
         shafts, torque_nm = shaft.shafts(gear.range_), self._torque_nm
         if shafts is None or torque_nm is None or closed is None:
             return
-        load = Load(torque_nm, closed > self.kiss_share, tracker.own_drag_nm)
+        load = Load(torque_nm, closed > kiss_share, tracker.own_drag_nm)
         self._loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
 
     def _see_synchronisers(self, now_us: int) -> None:
@@ -355,7 +371,7 @@ class Observer:
         self._main.edges(driven)
         return layshaft, main
 
-    def _see_whether_free(self, events: list[str]) -> None:
+    def _see_whether_free(self, events: list[str], pressed_nm: float) -> None:
         view = self.view
         if not view.complete:
             return
@@ -368,9 +384,7 @@ class Observer:
         free = self._is_free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
-            self._main.set_free(
-                free, view.range_, events, view.oldest_us, self.pressed_nm, self._loaded
-            )
+            self._main.set_free(free, view.range_, events, view.oldest_us, pressed_nm, self._loaded)
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""
