@@ -7,11 +7,14 @@ rooms, in the order in which a tooth passes them (docs/frame_to_valve.md):
     motion       equations of motion, their closed forms
     estimation   angle and speed of the shafts; what is learned of teeth and brake
     phase        the angle between gear teeth and sleeve teeth
+    sleeve       where a main sleeve is and when it meets its gear, from its valves' commands
     planning     when to release the brake and when to fire: one file for each strategy
     shift        the sequence of a shift, and its valve commands
     guard        passes a finished valve command or blocks it
     report       what is sent and logged about it
     calibration  what has been learned, kept from run to run
 
-`settings` has every setting. Sensor faults and valve drivers are not here: see `meshpoint.rig_sim`.
+Others use the modules on this floor and `planning.strategies`; who else looks into a room is named
+in an import contract (pyproject.toml). `settings` has every setting. Sensor faults and valve
+drivers are not here: see `meshpoint.rig_sim`.
 """

@@ -18,13 +18,13 @@ from meshpoint.controller.calibration.learned import (
 )
 from meshpoint.controller.estimation.tooth_match import ToothPattern
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.phase.reference_recovery import SavedReferences
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 
 class Learns(Protocol):

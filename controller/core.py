@@ -39,7 +39,8 @@ from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveBoard, driven_or_pending
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.valve_name import driven_or_pending
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import canonical, checked_request, torque_parts, torque_share
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter

@@ -13,7 +13,6 @@ from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTra
 from meshpoint.controller.estimation.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimation.main_tracker import Behind, MainTracker
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.motion.swing import ShaftState
@@ -27,7 +26,7 @@ from meshpoint.controller.sensing.pressure_samples import (
     PressureSamples,
 )
 from meshpoint.controller.sensing.pressure_zero import PressureZero
-from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate, unwrap
+from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import (
     BRAKED_RAD_S2,
@@ -47,8 +46,10 @@ from meshpoint.dbc.messages import (
     GearboxSensors,
     ValveStatus,
 )
+from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.kinematics import are_finite
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""

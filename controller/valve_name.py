@@ -1,10 +1,11 @@
-"""The valves by name, and which of them push the sleeves of the main box."""
+"""The valves by name: which push the main sleeves, and what the valve side says of each."""
 
 from __future__ import annotations
 
 from enum import IntEnum
 from typing import Final
 
+from meshpoint.dbc.messages import ValveStatus
 from meshpoint.gearbox import MainGear
 
 
@@ -35,3 +36,25 @@ OPPOSITE: Final = {
     MainGear.THIRD: ValveName.MAIN_CRAWL,
 }
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
+
+Driven = tuple[bool, ...]
+"""A flag of each valve, in the order of `ValveName`."""
+NONE_DRIVEN: Final[Driven] = (False,) * len(ValveName)
+_COILS: Final = 1
+_SLOTS: Final = _COILS + len(ValveName)
+_AFTER: Final = _SLOTS + len(ValveName)
+"""From where on a ValveStatus says what is driven, and what is pending."""
+
+
+def energised(status: ValveStatus) -> list[ValveName]:
+    """The valves whose coils the valve side reports as driven."""
+    return [valve for valve in ValveName if status[_COILS + valve]]
+
+
+def driven_or_pending(status: ValveStatus | None) -> Driven:
+    """Whether the valve side reports a valve's coil as driven, or its activation as pending: none,
+    before its first frame."""
+    if status is None:
+        return NONE_DRIVEN
+    reported = zip(status[_COILS:_SLOTS], status[_SLOTS:_AFTER], strict=True)
+    return tuple([bool(driven or pending) for driven, pending in reported])

@@ -7,8 +7,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
+from meshpoint.dbc.sensor_time import wrap
 
 STAMPS = 27
 LONG_US = 65_535

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from meshpoint.controller.motion.linear_kernels import Vector
-from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import GearboxSensors, Message, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
+from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.rig_sim.truck.as_built import linear, nominal

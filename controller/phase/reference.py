@@ -22,10 +22,10 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
 from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.gearbox.kinematics import raw_phase_rad, wrap_to_pitch
 
 STILL_MEASUREMENTS = 5
 """Measurements, one every 10 ms, during which a tooth that has crossed its gap must then lie

@@ -23,7 +23,6 @@ import numpy as np
 
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.tooth_match import ToothPattern
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.phase.reference import Floated, PhaseReferences
 from meshpoint.controller.phase.turn_candidates import (
     TurnSet,
@@ -36,6 +35,7 @@ from meshpoint.controller.phase.turn_candidates import (
 from meshpoint.controller.sensing.sensor_count import Renumbered
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 from meshpoint.units import TURN
 
 LEARNED_SD_RAD: Final = math.radians(0.1)

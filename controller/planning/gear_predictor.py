@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.kinematics import slip_rad_s
 from meshpoint.controller.motion.models import (
     LayshaftState,
     MotionModel,
@@ -28,6 +27,7 @@ from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, trajectories, trajectory
 from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.kinematics import slip_rad_s
 from meshpoint.units import US
 
 MOST_TICKS = 16

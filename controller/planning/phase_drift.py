@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from meshpoint.controller.calibration.learned import DriftRecord, DriftRecords
-from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.kinematics import raw_phase_rad
 
 WALK_SD_RAD_S: Final = 0.01
 """Standard deviation of the change of a drift from shift to shift: oil warms up."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategies.speed_window import SpeedWindow
@@ -12,6 +11,7 @@ from meshpoint.controller.planning.strategies.table import make_strategy
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import ShiftDecision, Strategy
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 
 class Plan(NamedTuple):

@@ -6,11 +6,9 @@ import math
 from typing import Final
 
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import (
     ETC1,
@@ -21,8 +19,10 @@ from meshpoint.dbc.messages import (
     ShiftOutcome,
     ShiftPrediction,
 )
+from meshpoint.dbc.sensor_time import wrap
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 from meshpoint.units import DEG, RPM
 
 TURNS: Final = 256 * 2.0 * math.pi

@@ -6,7 +6,6 @@ import math
 from typing import Final
 
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.observer import Observer
@@ -24,6 +23,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.kinematics import slip_rad_s, wrap_to_pitch
 
 ETC2_EVERY: Final = 10
 LATENESS_TOP_US: Final = 65_535

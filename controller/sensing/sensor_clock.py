@@ -1,4 +1,4 @@
-"""Sensor time: 32-bit microseconds on the wire, unwrapped to integers that never wrap.
+"""The sensor clock, as the controller knows it.
 
 The controller steps in its own clock and plans in the sensor clock. The offset between them is the
 least `now - stamp` seen lately: every frame says when it was read, and is consumed later than that,
@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-WRAP: Final = 1 << 32
-HALF: Final = 1 << 31
+from meshpoint.dbc.sensor_time import unwrap
+
 WINDOW: Final = 4000
 """Stamps the offset looks back over: about four seconds, in which 200 ppm of drift is 0.8 ms and
 a shift is over."""
@@ -23,16 +23,6 @@ GOES_ON_US: Final = 100_000
 ON_TIME_US: Final = 50_000
 BACK_US: Final = 200_000
 """So does one this far behind the newest: frames keep their order, but for what a bus delays."""
-
-
-def unwrap(stamp: int, near: int) -> int:
-    """The time congruent to the 32-bit `stamp` that lies nearest to `near`."""
-    return near + ((stamp - near + HALF) & (WRAP - 1)) - HALF
-
-
-def wrap(time_us: int) -> int:
-    """The low 32 bits of a time, as in frames."""
-    return time_us & (WRAP - 1)
 
 
 class SensorClockEstimate:

@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.dbc.messages import EdgesInputRise
+from meshpoint.dbc.sensor_time import unwrap
 
 LONGER_US: Final = 300
 """After a step before which frames had not all come, they are awaited for so much longer."""

@@ -10,7 +10,7 @@ from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.shift.valve_board import Driven
+from meshpoint.controller.valve_name import Driven
 from meshpoint.dbc.messages import FaultCode
 
 MISSING: Final = (FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST)

@@ -10,34 +10,11 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.controller.planning.strategies.base import BUS_US
-from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.settings import ValveTiming
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
-from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
-
-Driven = tuple[bool, ...]
-"""A flag of each valve, in the order of `ValveName`."""
-NONE_DRIVEN: Final[Driven] = (False,) * len(ValveName)
-_COILS: Final = 1
-_SLOTS: Final = _COILS + len(ValveName)
-_AFTER: Final = _SLOTS + len(ValveName)
-"""From where on a ValveStatus says what is driven, and what is pending."""
-
-
-def energised(status: ValveStatus) -> list[ValveName]:
-    """The valves whose coils the valve side reports as driven."""
-    return [valve for valve in ValveName if status[_COILS + valve]]
-
-
-def driven_or_pending(status: ValveStatus | None) -> Driven:
-    """Whether the valve side reports a valve's coil as driven, or its activation as pending: none,
-    before its first frame."""
-    if status is None:
-        return NONE_DRIVEN
-    reported = zip(status[_COILS:_SLOTS], status[_SLOTS:_AFTER], strict=True)
-    return tuple([bool(driven or pending) for driven, pending in reported])
-
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.sensor_time import wrap
 
 _ACTION: Final = itemgetter(0)
 _TIME_US: Final = itemgetter(1)

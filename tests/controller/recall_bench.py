@@ -13,13 +13,13 @@ from meshpoint.controller.estimation.tooth_match import (
     ToothPattern,
     turned,
 )
-from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery, SavedReferences
 from meshpoint.controller.sensing.sensor_count import Renumbered
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
+from meshpoint.gearbox.kinematics import raw_phase_rad, wrap_to_pitch
 from meshpoint.gearbox.sheet import Mesh
 
 TURN = 2.0 * math.pi

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 SHEET = load_sheet("thesis")
 PITCH, BACKLASH = SHEET.dog.pitch_rad, SHEET.dog.backlash_rad

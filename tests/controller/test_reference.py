@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 TURN = 2.0 * math.pi
 PITCH = TURN / 48

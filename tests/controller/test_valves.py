@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.settings import ValveTiming
-from meshpoint.controller.shift.valve_board import OFF, ValveBoard, driven_or_pending
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.shift.valve_board import OFF, ValveBoard
+from meshpoint.controller.valve_name import ValveName, driven_or_pending
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 T0 = (1 << 32) + 5_000_000

@@ -15,7 +15,6 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Final
 
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.settings import ControllerSettings
@@ -27,6 +26,7 @@ from meshpoint.controller.strategy_file import (
     split_name,
 )
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 METHODS: Final = ("release", "contact")
 LATEST_CONTACT_US: Final = 1_000_000

@@ -91,9 +91,9 @@ class Planned(NamedTuple):
     planned_us: int
     release_us: int
     around_us: int
-    """Releases were looked at so far to both sides of it,"""
+    """How far to both sides of it releases were looked at."""
     close_us: int
-    """in steps of this."""
+    """Their distance from one another."""
     in_us: float
     """When the gear was expected in, all that its contact may cost added as time."""
 

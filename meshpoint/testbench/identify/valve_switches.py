@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import MainGear
 
 LATE_US: Final = 2_000

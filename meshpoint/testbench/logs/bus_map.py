@@ -21,12 +21,12 @@ from typing import Any, Final
 import cantools.database
 from cantools.database.can import Database, Message
 
-from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.dbc import messages
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import GearboxSensors, SleevesAux, SleevesMain
 from meshpoint.dbc.node import Node
+from meshpoint.dbc.sensor_time import wrap
 from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.capture_log import SHAFTS

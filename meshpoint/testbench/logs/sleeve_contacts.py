@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.dbc.messages import Message, SleevesAux, SleevesMain, ValveStatus
+from meshpoint.dbc.sensor_time import wrap
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.testbench.logs.seen_shift import SeenShift

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -30,6 +29,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.open_loop.judged import Judged
 from meshpoint.testbench.results.road_speed import span_us

@@ -14,7 +14,6 @@ from typing import Any, Final, NamedTuple
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.observer import Observer
-from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.settings import ESTIMATOR_NAMES, ControllerSettings
 from meshpoint.dbc.messages import (
@@ -28,6 +27,7 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
+from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.results.traces import ENCODER_STEP_US

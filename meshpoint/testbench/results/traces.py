@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.dbc.messages import (
     ControllerEstimates,
     GearboxSensors,
@@ -15,6 +14,7 @@ from meshpoint.dbc.messages import (
     SleevesMain,
     ValveStatus,
 )
+from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.units import BAR, DEG, RPM
 
 GEAR_FIELDS: Final = {

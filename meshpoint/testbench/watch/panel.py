@@ -9,7 +9,6 @@ from typing import Final
 
 from rich.text import Text
 
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -31,6 +30,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.kinematics import wrap_to_pitch
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.results.states import state_words
