@@ -93,6 +93,8 @@ class TruckWorld:
         self.pressures = PressureSensors(self.built, self.sheet.air.atmosphere_pa)
         self.faults = FaultInjector(self)
         self._steps_driven = dict.fromkeys(STEP_VALVES, False)
+        self._follows_us: dict[Valve, float] = {}
+        """When a valve that a fault makes late follows its coil."""
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._asked = 0
         self._read_us = 0
@@ -318,8 +320,12 @@ class TruckWorld:
         if extra_us is None:
             self.faults.miss(valve, on)
             return
-        if extra_us > 0.0:
-            self.later(extra_us, partial(self._open, valve, on))
+        time_us = self.plant.time_us
+        # One that is late to open, and switched off meanwhile, does not open after that.
+        due_us = max(time_us + extra_us, self._follows_us.get(valve, time_us))
+        if due_us > time_us:
+            self._follows_us[valve] = due_us
+            self._at(due_us, partial(self._open, valve, on))
         else:
             self._open(valve, on)
 

@@ -111,6 +111,18 @@ def test_a_stuck_valve_does_not_follow_its_coil_and_a_slow_one_later() -> None:
     assert slow.plant.brake_gauge_pa > 1e5
 
 
+@pytest.mark.parametrize("valve", [Valve.BRAKE, Valve.MAIN_THIRD])
+def test_a_valve_that_is_slow_to_open_does_not_stay_open_after_a_pulse_that_is_shorter(
+    valve: Valve,
+) -> None:
+    truck = with_fault(RigFault.VALVE_SLOW_ON, int(valve), value=20.0, for_us=0)
+    switch(truck, valve, True, 110_000.0)
+    switch(truck, valve, False, 120_000.0)
+    run(truck, 400_000)
+    assert truck.plant.brake_gauge_pa < 2e3
+    assert not any(truck.truth.axis(Sleeve.CRAWL_THIRD, 400_000).spools)
+
+
 def main_sleeve_m(truck: TruckWorld, until_us: int) -> float:
     run(truck, until_us)
     return truck.truth.axis(Sleeve.CRAWL_THIRD, until_us).position_m
