@@ -62,7 +62,6 @@ REASONS: Final = {
     "gap_posterior.py: MEASUREMENT_SHARES": SHARES,
     "gap_posterior.py: BEYOND_SD": "chance: standard deviations; the rig's is a ratio of frictions",
     "target_phase.py: CLOSE_OF_GAP": SHARES,
-    "target_phase.py: WORSE_US": "chance: a price of waiting; the rig's is the lag of an engine",
     "reporter.py: _gear": "chance: a gear's number",
     "valve_name.py: SPLIT_LOW": VALVES,
     "case.py: SPLITTER": VALVES,

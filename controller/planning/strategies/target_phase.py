@@ -7,7 +7,7 @@ time, the price of a miss, and the energy that the flanks take (docs/strategy.md
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from meshpoint.controller.planning.strategies.base import (
 )
 from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 
 RELEASE_AHEAD_US: Final = 300_000.0
@@ -77,25 +77,6 @@ SLOWEST_M_S: Final = 0.05
 """A sleeve that meets a gear at all does so no slower."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
-NEWLY_US: Final = 30_000
-"""A release that was planned no longer ago than this is looked for where it was."""
-WORSE_US: Final = 15_000
-"""Where the gear is expected in so much later than it was, misses and impacts priced as time, the
-release is looked for everywhere again."""
-
-
-class Planned(NamedTuple):
-    """A release as it was planned last."""
-
-    gear: MainGear
-    planned_us: int
-    release_us: int
-    around_us: int
-    """How far to both sides of it releases were looked at."""
-    close_us: int
-    """Their distance from one another."""
-    in_us: float
-    """When the gear was expected in, all that its contact may cost added as time."""
 
 
 class TargetPhase:
@@ -113,7 +94,6 @@ class TargetPhase:
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
         self._timing = settings.timing
-        self._planned: Planned | None = None
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -167,11 +147,7 @@ class TargetPhase:
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
         """Release and contact planned together: of the releases around those that leave
-        `window.aim_slip_rpm` after one of the coasts, the one of least expected cost. From step to
-        step it moves little: it is looked for around the last one, while that is worth no less."""
-        plan = self._around_last(predictor, now_us, earliest_us)
-        if plan is not None:
-            return plan
+        `window.aim_slip_rpm` after one of the coasts, the one of least expected cost."""
         slip, least, chosen = self._window.aim_slip_rad_s, math.inf, range(0)
         for coast_us in COASTS_US:
             settle_us = self._settle_us + coast_us
@@ -185,32 +161,8 @@ class TargetPhase:
         reach_us = self._reach_us(predictor, best)
         gap_us = CLOSE_OF_GAP * self._dog.backlash_rad / self._dog.pitch_rad * reach_us
         close_us = max(1, round(min(chosen.step / CLOSE_SHARE, gap_us)))
-        wide = Planned(predictor.gear, now_us, best, chosen.step, close_us, math.inf)
-        return self._around(predictor, now_us, earliest_us, wide) or ReleasePlan(best, best)
-
-    def _around_last(
-        self, predictor: GearPredictor, now_us: int, earliest_us: int
-    ) -> ReleasePlan | None:
-        last = self._planned
-        if last is None or last.gear is not predictor.gear:
-            return None
-        is_new = 0 <= now_us - last.planned_us < NEWLY_US
-        return self._around(predictor, now_us, earliest_us, last) if is_new else None
-
-    def _around(
-        self, predictor: GearPredictor, now_us: int, earliest_us: int, last: Planned
-    ) -> ReleasePlan | None:
-        """The best release around the last one; None where it has become worse than that was."""
-        first_us, last_us = last.release_us - last.around_us, last.release_us + last.around_us
-        releases = range(max(earliest_us, first_us), last_us + 1, last.close_us)
-        if not releases:
-            return None
-        plan, cost_s = self._best_release(predictor, now_us, earliest_us, releases)
-        in_us = now_us + cost_s * SECOND_US
-        if in_us > last.in_us + WORSE_US:
-            return None
-        self._planned = last._replace(planned_us=now_us, release_us=plan.release_us, in_us=in_us)
-        return plan
+        around = range(max(earliest_us, best - chosen.step), best + chosen.step + 1, close_us)
+        return self._best_release(predictor, now_us, earliest_us, around)[0]
 
     def _releases(self, predictor: GearPredictor, earliest_us: int, release_us: int) -> range:
         """The releases around one that together move the phase by more than a pitch."""
