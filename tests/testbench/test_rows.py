@@ -123,6 +123,15 @@ def test_a_row_says_how_often_its_sleeve_was_aborted_and_where_it_then_stood() -
     assert (row.aborts, row.halt_mm) == (0, None)
 
 
+def test_a_contact_before_the_firing_that_is_told_has_no_delay() -> None:
+    """A sleeve that was aborted and not stopped in time came to the teeth; the firing that the
+    outcome tells is the one after it."""
+    before = outcome(aborts=1, fire_time_us=outcome().fire_time_us + 200_000)
+    (row,) = rows_of(contact(-0.5), before)
+    assert row.contact == "gap"
+    assert row.delay_ms is None
+
+
 def test_the_table_of_rows_and_the_summary_count_aborts() -> None:
     line = shown(aborts=7).splitlines()[-1].split()
     assert line[-2:] == ["1/7", "engaged"]

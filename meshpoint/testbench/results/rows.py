@@ -158,7 +158,7 @@ class RowCollector:
             attempts=outcome.attempts,
             predicted_phase_deg=outcome.predicted_phase_rad / DEG if known else None,
             predicted_phase_sd_deg=outcome.predicted_phase_sd_rad / DEG if known else None,
-            delay_ms=delay if outcome.attempts == 1 else None,
+            delay_ms=delay if outcome.attempts == 1 and (delay or 0.0) >= 0.0 else None,
             request_us=outcome.request_time_us,
             contact_us=contact.event_time_us if contact else None,
             end_us=outcome.end_time_us,

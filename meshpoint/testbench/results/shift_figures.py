@@ -34,7 +34,8 @@ class ShiftFigures:
     predicted_phase_sd_deg: float | None = None
     """Its standard deviation."""
     delay_ms: float | None = None
-    """From activation to contact, by the rig's truth; None after more than one attempt."""
+    """From activation to contact, by the rig's truth; None after more than one attempt, and where
+    an earlier firing, aborted too late, made the contact."""
     attempts: int = 0
     """Times a sleeve was fired; a firing that was recalled or aborted does not count."""
     aborts: int = 0
