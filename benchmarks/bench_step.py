@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any, Final, NamedTuple
 
 import meshpoint.controller
-from meshpoint.bus.core import Step
+from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
@@ -47,22 +47,13 @@ class Taken(NamedTuple):
     files: int
 
 
-class Measured:
+class Measured(AroundCore[ControllerCore]):
     """A controller whose steps are timed, or whose calls are counted."""
 
     def __init__(self, core: ControllerCore, counts: bool) -> None:
-        self._core, self._counts = core, counts
+        super().__init__(core)
+        self._counts = counts
         self.steps: list[Taken] = []
-
-    @property
-    def next_step_us(self) -> int:
-        return self._core.next_step_us
-
-    def receive(self, frame: Any) -> None:
-        self._core.receive(frame)
-
-    def shutdown(self, now_us: int) -> Step:
-        return self._core.shutdown(now_us)
 
     def step(self, now_us: int) -> Step:
         state, files, calls = self._core.sequence.state.name, set[str](), 0

@@ -62,7 +62,7 @@ class Behind(NamedTuple):
 
 
 @dataclass
-class Lesson:
+class SwingLesson:
     """An interval in neutral that has ended, and how far its swing has been learned."""
 
     swing: DrivelineSwing
@@ -105,7 +105,7 @@ class MainTracker(WheelTracker):
         self._trajectory: tuple[float, LashTrajectory | None] = (0.0, None)
         """The newest edges' time and the trajectory from then on."""
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
-        self._lessons: deque[Lesson] = deque()
+        self._lessons: deque[SwingLesson] = deque()
         self.learned = 0
         """From how many intervals in neutral the swing has been learned."""
 
@@ -266,7 +266,7 @@ class MainTracker(WheelTracker):
         if teeth.learned:
             edges[1] += teeth.error_rad[self._run.places]
         window = MainWindow(edges, time_us, x, p, teeth.sd_rad)
-        self._lessons.append(Lesson(self._swings[self._range], window, teeth.learned))
+        self._lessons.append(SwingLesson(self._swings[self._range], window, teeth.learned))
 
     @property
     def is_learning(self) -> bool:

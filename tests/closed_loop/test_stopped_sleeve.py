@@ -19,7 +19,7 @@ LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
 SEED = 18
 PLAIN = ControllerSettings()
 STANDS_MS = 150.0
-"""It stands before the teeth for no longer. Fired from there it needs less than from neutral."""
+"""It stands before the teeth for no longer."""
 
 
 def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> ShiftRow:
@@ -49,8 +49,7 @@ def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_meets_the_next_gap(
     plain, row = aimed_shift(monkeypatch, 0), aimed_shift(monkeypatch, 1)
     assert (plain.aborts, row.aborts) == (0, 1)
     assert (row.contact, row.ratchets, row.face_ms) == ("gap", 0, 0.0)
-    stroke_ms = 1e3 * load_sheet("truck12").sleeve.delay_s
-    assert 0.0 < row.duration_ms - plain.duration_ms < STANDS_MS + stroke_ms
+    assert 0.0 < row.duration_ms - plain.duration_ms < STANDS_MS
 
 
 def test_a_sleeve_that_is_stopped_at_each_firing_comes_into_its_gear_in_time(
