@@ -16,6 +16,8 @@ COPY controller controller
 COPY dbc dbc
 COPY meshpoint meshpoint
 COPY rig_sim rig_sim
+# The kernels are compiled as it is installed, for any processor of the architecture.
+ENV NUMBA_CPU_NAME=generic
 RUN python3 -m venv /opt/meshpoint \
     && /opt/meshpoint/bin/pip install --no-cache-dir --no-deps --require-hashes -r locks/build.txt -r locks/run.txt \
     && /opt/meshpoint/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
@@ -25,16 +27,12 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends python3 can-utils iproute2 \
     && rm -rf /var/lib/apt/lists/* \
     && useradd --uid 10001 --no-create-home --home-dir /nonexistent meshpoint \
-    && install -d -o meshpoint -g meshpoint /run/meshpoint /log /var/cache/meshpoint
+    && install -d -o meshpoint -g meshpoint /run/meshpoint /log
 COPY --from=build /opt/meshpoint /opt/meshpoint
-# Kernels are compiled here, once, for any processor of the architecture. Their folder belongs to the
-# user of the image: under another user a container compiles its own.
 ENV PATH=/opt/meshpoint/bin:$PATH \
     PYTHONUNBUFFERED=1 \
-    NUMBA_CPU_NAME=generic \
-    NUMBA_CACHE_DIR=/var/cache/meshpoint
+    NUMBA_CPU_NAME=generic
 USER meshpoint
-RUN python -m meshpoint.testbench.loop.compiling
 WORKDIR /log
 ENTRYPOINT ["meshpoint"]
 CMD ["--help"]

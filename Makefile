@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance kernels-for-any vcan vcan-alone controllers test-containers lint types reference figures contracts locks stubs bench clean
+.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -33,15 +33,13 @@ demo:
 	    MESHPOINT_SINCE=$$begun $(BIN)/meshpoint demo --out out/demo
 
 # The kernels first, or both workers compile the same ones at once.
-test: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.loop.compiling
+test: kernels
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not long and not device" \
 	    --ignore=tests/acceptance --ignore=tests/vcan --ignore=tests/controllers_emulated
 
 # What takes many seconds: whole documents held against runs, statistics over many shifts, crowds
 # of live processes.
-long: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.loop.compiling
+long: kernels
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "long and not device" $$(grep -rl --include='*.py' mark.long tests)
 
 # What needs something that not every machine has: a CAN device, can-utils, multicast, a browser, root,
@@ -57,24 +55,21 @@ installed: $(VENV)/test.stamp
 acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
 
-# Kernels for any processor of the kind: an emulated one is another than this, and would compile for
-# an hour.
-FOR_ANY := NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/kernels
-kernels-for-any: $(VENV)/test.stamp
-	$(FOR_ANY) $(BIN)/python -m meshpoint.testbench.loop.compiling
+kernels: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.testbench.loop.compiling
 
-# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose.
+# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose. Its
+# processor takes this machine's kernels; it would compile for an hour.
 # The limit is the last resort against a hang: what is waited for in there is bus time.
-vcan: kernels-for-any
+vcan: kernels
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
-	$(FOR_ANY) tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
-	    tests/vcan -v --durations=0
+	tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan -v --durations=0
 
 # The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
-controllers: kernels-for-any
+controllers: kernels
 	{ tools/with-vcan --controllers --check && command -v candump; } || \
 	    tools/with-vcan --controllers --install
-	$(FOR_ANY) tools/with-vcan --controllers --timeout 5400 \
+	tools/with-vcan --controllers --timeout 5400 \
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 
 # with-vcan as other projects have it, and python-can's own SocketCAN tests in it.

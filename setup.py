@@ -1,10 +1,15 @@
 """Which folder is which package: three of them lie beside `meshpoint/` in the repository. And
-README as a package index can show it."""
+README as a package index can show it, and the compiled kernels that a wheel brings."""
 
+import os
 import re
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.build_py import build_py
 
 BESIDE = ("controller", "dbc", "rig_sim")
 PICTURE = re.compile(r"!\[[^\]]*\]\((?!https?:)[^)\s]+\)\n*")
@@ -32,8 +37,29 @@ def _words(link: re.Match[str]) -> str:
     return text if file in text or f"{file}/" in text else f"{text} ({file})"
 
 
+class BuildWithKernels(build_py):
+    """Puts the kernels for this Python and kind of processor beside what was built, where numba is
+    installed (no build isolation). Without them the first run compiles."""
+
+    def run(self) -> None:
+        """As a command of setuptools."""
+        super().run()
+        if self.editable_mode:
+            return
+        if find_spec("numba") is None:
+            self.warn("built without compiled kernels: numba is not installed here")
+            return
+        built = Path(self.build_lib).resolve()
+        subprocess.run(  # noqa: S603 (ours)
+            [sys.executable, "-m", "meshpoint.testbench.loop.compiling", "ship",
+             str(built / "meshpoint" / "compiled")],
+            env={**os.environ, "PYTHONPATH": str(built)}, cwd=built, check=True,
+        )  # fmt: skip
+
+
 if __name__ == "__main__":
     setup(
+        cmdclass={"build_py": BuildWithKernels},
         long_description=description(Path(__file__).with_name("README.md").read_text("utf-8")),
         long_description_content_type="text/markdown",
         package_dir={f"meshpoint.{name}": name for name in BESIDE},

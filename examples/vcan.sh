@@ -45,8 +45,7 @@ outside() {
     else
         say 'this takes about 4 minutes, beside much other work up to 15: the machine is emulated'
         say 'nothing is seen while it boots: a fifth of that time'
-        # The emulated processor is another one, and would compile for an hour.
-        export NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES='' NUMBA_CACHE_DIR=$folder/kernels
+        # The emulated processor would compile for an hour; it takes this machine's kernels.
         "$(dirname -- "$(type -P meshpoint)")/python" -m meshpoint.testbench.loop.compiling
         "$here/../tools/with-vcan" --timeout 1800 --keep "$folder" \
             "$here/vcan.sh" "$gear" "$folder"

@@ -1,4 +1,5 @@
-"""Compiled kernels are kept on disk, once for all copies of meshpoint that a user has.
+"""Compiled kernels come with the wheel, or are kept on disk, once for all copies of meshpoint that
+a user has.
 
 numba's own cache looks at the file of the cached function alone, so a change in a piece from
 another file would go unseen, and one damaged index ends every command. Here the name of an entry
@@ -32,8 +33,14 @@ from numba.core.extending import _Intrinsic
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
-from meshpoint.kernel_folder import ENTRY, KernelFolder, UnusableEntryError, kernel_folders
-from meshpoint.kernel_level import LEVEL
+from meshpoint.kernel_folder import (
+    ENTRY,
+    KernelFolder,
+    UnusableEntryError,
+    kernel_folders,
+    shipped,
+)
+from meshpoint.kernel_target import LEVEL
 from meshpoint.kernel_watch import WATCH
 
 STABLE_MODULES: Final = frozenset({"math", "cmath", "operator", "numpy", "numba"})
@@ -86,6 +93,16 @@ class KernelCache(FunctionCache):
         if not self._enabled:
             return None
         entry = self._entry(sig)
+        content = shipped(entry) or self._kept(entry)
+        if content is None:
+            WATCH.compiling(self._package)
+            return None
+        WATCH.taken(entry, content)
+        # Ours: neither the wheel nor KernelFolder holds what another user could have written.
+        return self._impl.rebuild(target_context, pickle.loads(content))  # noqa: S301
+
+    def _kept(self, entry: str) -> bytes | None:
+        """What was compiled on this machine."""
         refused = ""
         for folder in self._folders:
             try:
@@ -99,9 +116,7 @@ class KernelCache(FunctionCache):
                 continue
             if content is not None:
                 _say_where(folder, refused)
-                # Ours: KernelFolder gives out nothing that another user could have written.
-                return self._impl.rebuild(target_context, pickle.loads(content))  # noqa: S301
-        WATCH.compiling(self._package)
+                return content
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -109,6 +124,7 @@ class KernelCache(FunctionCache):
         if not self._enabled or not self._impl.check_cachable(data):
             return
         entry, content = self._entry(sig), dumps(self._impl.reduce(data))
+        WATCH.taken(entry, content)
         refused = ""
         for folder in self._folders:
             try:

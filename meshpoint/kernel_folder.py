@@ -1,9 +1,9 @@
-"""Where compiled kernels lie: in a folder of the user's own, bounded in size.
+"""Where compiled kernels lie: in the wheel, and in a folder of the user's own, bounded in size.
 
-What is read there is run as machine code, so nothing is taken that another user could have written:
-folder and file belong to this user or to root and cannot be written by anybody else, neither is a
-symbolic link, and a digest at the end of each file says that it is whole. On Windows, which has no
-such owners, the user's folder is trusted as it is.
+What is read in that folder is run as machine code, so nothing is taken that another user could have
+written: folder and file belong to this user or to root and cannot be written by anybody else,
+neither is a symbolic link, and a digest at the end of each file says that it is whole. On Windows,
+which has no such owners, the user's folder is trusted as it is.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from typing import Final
 
 LIMIT_BYTES: Final = 128 * 2**20
 """Of all files of a folder together: the least recently used go first."""
+SHIPPED: Final = Path(__file__).with_name("compiled")
+"""Kernels that a wheel brings; no such folder in a clone."""
 USE_NOTED_S: Final = 24 * 3600
 """A file's time says when it was last used, to this."""
 DIGEST_BYTES: Final = 32
@@ -43,6 +45,15 @@ _MAKE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
 class UnusableEntryError(Exception):
     """A file is there and not taken; the text says what it is, as in "they are ..."."""
+
+
+def shipped(name: str) -> bytes | None:
+    """What the wheel brought under this name; None where it brought nothing, or not the whole. No
+    owner is asked for: who could write the file could write the code beside it."""
+    try:
+        return _whole((SHIPPED / name).read_bytes())
+    except OSError:
+        return None
 
 
 def kernel_folders() -> tuple[KernelFolder, ...]:
@@ -91,8 +102,8 @@ class KernelFolder:
                 self._note_use(name, file)
         except (FileNotFoundError, NotADirectoryError):
             return None
-        content, digest = raw[:-DIGEST_BYTES], raw[-DIGEST_BYTES:]
-        if hashlib.sha256(content).digest() != digest:
+        content = _whole(raw)
+        if content is None:
             raise UnusableEntryError("damaged")
         return content
 
@@ -167,6 +178,12 @@ class KernelFolder:
                 with suppress(OSError):
                     os.unlink(self._at(name), dir_fd=folder)
                 excess -= size
+
+
+def _whole(raw: bytes) -> bytes | None:
+    """What a file holds before its digest; None where that is another."""
+    content, digest = raw[:-DIGEST_BYTES], raw[-DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == digest else None
 
 
 @contextmanager

@@ -22,6 +22,9 @@ class CacheWatch:
     compiling: Callable[[str], None] = staticmethod(lambda _package: None)
     """A kernel of this package is about to be compiled, which takes a second or many."""
 
+    taken: Callable[[str, bytes], None] = staticmethod(lambda _name, _content: None)
+    """The file of a kernel that is in use from here on, whether it was compiled before or now."""
+
     def __init__(self) -> None:
         self._said: set[str] = set()
 

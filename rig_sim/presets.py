@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.kernel_watch import uncollected
 from meshpoint.rig_sim.settings import Preset, RigSettings
@@ -22,3 +23,13 @@ def build_world(sheet: GearboxSheet, settings: RigSettings) -> RigWorld:
             return world
         closed_form.warm_up()
         return World(sheet, settings)
+
+
+def warm_up(sheet: GearboxSheet, preset: Preset) -> None:
+    """Compiles all that a rig of this preset calls, or loads it: also what looks up its true
+    future, which no node does."""
+    world = build_world(sheet, RigSettings(preset=preset))
+    if isinstance(world, TruckWorld):
+        with uncollected():
+            world.plant.advance_alone(0.0)
+            world.plant.sample(MainGear.FIRST, 1.0, 0.0, range(1))

@@ -75,7 +75,7 @@ def stopping_m(sleeve: DrivenSleeve, direction: int) -> tuple[float, float] | No
     switches = aborted(fired, direction, at_us, LONGEST_PULSE_US)
 
     def goes_m(unknowns: Vector) -> Vector:
-        known = unknowns[:, : PARAMETERS + 1]
+        known = np.ascontiguousarray(unknowns[:, : PARAMETERS + 1])
         begins = sleeve.ways(known, fired, ending=TO_TIME, until_us=at_us).states[:, 0]
         return _gets_m(sleeve, direction, switches, unknowns) - direction * begins
 

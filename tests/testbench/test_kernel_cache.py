@@ -13,7 +13,7 @@ from typing import Any
 import numba
 import pytest
 
-from meshpoint import kernel_cache
+from meshpoint import kernel_cache, kernel_folder
 from meshpoint.kernel_cache import KernelCache, digest_of, keep_compiled
 from meshpoint.kernel_folder import KernelFolder
 from meshpoint.kernel_pieces import piece_of_kernels
@@ -88,6 +88,58 @@ def test_a_flipped_bit_is_found_before_the_code_is_run(tmp_path: Path, said: lis
     assert kernel(2.0) == 4.0
     assert hits(kernel) == 0
     assert said == [f"compiled kernels in {tmp_path} are damaged and compiled again"]
+
+
+def in_a_wheel(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """What `ship` puts beside the code, of the kernel `doubled`; it is found there from now on."""
+    watch = CacheWatch()
+    watch.taken = KernelFolder(folder).write
+    monkeypatch.setattr(kernel_cache, "WATCH", watch)
+    doubled(folder.parent / "builder")(2.0)
+    monkeypatch.setattr(kernel_folder, "SHIPPED", folder)
+    return list(folder.iterdir())
+
+
+def test_what_came_with_the_wheel_is_taken_and_nothing_is_compiled_or_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: list[str]
+) -> None:
+    assert len(in_a_wheel(tmp_path / "wheel", monkeypatch)) == 1
+    kernel = doubled(tmp_path / "own")
+    assert kernel(2.0) == 4.0
+    assert hits(kernel) == 1 and said == [] and not (tmp_path / "own").exists()
+
+
+def test_a_damaged_kernel_of_the_wheel_is_compiled_and_kept_by_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (shipped,) = in_a_wheel(tmp_path / "wheel", monkeypatch)
+    shipped.write_bytes(shipped.read_bytes()[:-1])
+    kernel = doubled(tmp_path / "own")
+    assert kernel(2.0) == 4.0
+    assert hits(kernel) == 0 and len(list((tmp_path / "own").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "allowed"),
+    [({}, {"x86-64-v3", "None"}), ({"NUMBA_CPU_NAME": "generic"}, {"generic"})],
+    ids=["by_itself", "as_asked"],
+)
+def test_kernels_are_for_a_kind_of_processor_not_for_the_one_at_hand(
+    given: dict[str, str], allowed: set[str]
+) -> None:
+    """"None": this machine has no such processor."""
+    script = (
+        "import meshpoint.kernel_target, numba\n"
+        "print(numba.core.config.CPU_NAME, meshpoint.kernel_target.has_common())"
+    )
+    environment = {key: value for key, value in os.environ.items() if "NUMBA_CPU" not in key}
+    found = subprocess.run(
+        [sys.executable, "-c", script], env=environment | given, capture_output=True, text=True,
+        check=True,
+    ).stdout.split()  # fmt: skip
+    assert found[0] in allowed
+    if not given:
+        assert (found[0] == "x86-64-v3") == (found[1] == "True")
 
 
 def test_a_piece_of_kernels_can_be_called_from_python_too() -> None:

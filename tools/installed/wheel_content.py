@@ -1,8 +1,8 @@
 """Is a wheel complete and alone? Standard input: the package's files as `git ls-files -z` has them.
 
-The wheel has to hold each of them below `meshpoint/`, and nothing besides but its dist-info; so
-does what an installation has put into site-packages. Its description holds no picture and no link
-that lead into the repository. Exit code 1, and what is wrong, otherwise.
+The wheel has to hold each of them below `meshpoint/`, and nothing besides but compiled kernels and
+its dist-info; so does what an installation has put into site-packages. Its description holds no
+picture and no link that lead into the repository. Exit code 1, and what is wrong, otherwise.
 """
 
 import re
@@ -19,6 +19,8 @@ wanted = {
 }
 held = {name for name in zipfile.ZipFile(wheel).namelist() if not name.endswith("/")}
 held -= {name for name in held if name.split("/")[0].endswith(".dist-info")}
+kernels = {name for name in held if name.startswith("meshpoint/compiled/")}
+held -= kernels
 
 installed = distribution("meshpoint")
 tops = {file.parts[0] for file in installed.files or () if file.parts[0] != ".."}
@@ -26,6 +28,8 @@ outside = {str(file) for file in installed.files or () if file.parts[0] == ".."}
 
 wrong = [f"missing in the wheel: {name}" for name in sorted(wanted - held)]
 wrong += [f"in the wheel, not in the repository: {name}" for name in sorted(held - wanted)]
+if not kernels:
+    wrong.append("no compiled kernels in the wheel")
 if tops != {"meshpoint", f"meshpoint-{installed.version}.dist-info"}:
     wrong.append(f"put into site-packages: {sorted(tops)}")
 if {PurePosixPath(file).stem for file in outside} != {"meshpoint"}:

@@ -15,9 +15,15 @@ from typing import Final
 
 from meshpoint import rig_sim, units
 from meshpoint.kernel_cache import machine
-from meshpoint.kernel_folder import MARK, UnusableEntryError, kernel_folders
+from meshpoint.kernel_folder import (
+    MARK,
+    KernelFolder,
+    UnusableEntryError,
+    kernel_folders,
+    shipped,
+)
 
-SHARED: Final = ("units.py", "kernel_cache.py", "kernel_pieces.py", "gearbox")
+SHARED: Final = ("units.py", "kernel_cache.py", "kernel_pieces.py", "kernel_target.py", "gearbox")
 """What the rig's kernels use of the product beside its own source."""
 
 
@@ -30,7 +36,9 @@ class CompiledMark:
         self._folders = kernel_folders()
 
     def is_there(self) -> bool:
-        """Whether they were compiled before."""
+        """Whether they were compiled before, or came with the wheel."""
+        if shipped(self._name) is not None:
+            return True
         for folder in self._folders:
             with suppress(OSError, UnusableEntryError):
                 if folder.read(self._name) is not None:
@@ -42,8 +50,12 @@ class CompiledMark:
         next start."""
         for folder in self._folders:
             with suppress(OSError):
-                folder.write(self._name, b"")
+                self.put_into(folder)
                 return
+
+    def put_into(self, folder: KernelFolder) -> None:
+        """They are in this folder. OSError where it cannot be written."""
+        folder.write(self._name, b"")
 
 
 def _digest(package: Path) -> str:

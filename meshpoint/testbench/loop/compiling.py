@@ -11,9 +11,11 @@ import subprocess
 import sys
 import threading
 from collections import Counter
+from pathlib import Path
 from time import perf_counter
 from typing import IO, Final
 
+from meshpoint.kernel_folder import KernelFolder
 from meshpoint.kernel_watch import WATCH
 
 SAID: Final = "! "
@@ -22,6 +24,8 @@ RIG: Final = "rig"
 """The argument that asks for the rig's kernels alone, one line for each."""
 THESIS: Final = "thesis"
 """The argument that asks for those of the preset `thesis` too."""
+SHIP: Final = "ship"
+"""The argument before a folder of a wheel, which all kernels of both sides are put into."""
 EVERY_S: Final = 5.0
 """Between two lines where they do not overwrite each other."""
 
@@ -131,19 +135,33 @@ def _follow(lines: IO[str] | None, progress: Progress) -> None:
 
 def main() -> int:
     """`python -m meshpoint.testbench.loop.compiling`: compiles all kernels of both sides."""
-    if RIG in sys.argv[1:]:
-        _compile_rig(THESIS in sys.argv[1:])
+    arguments = sys.argv[1:]
+    if arguments[:1] == [SHIP]:
+        _ship(Path(arguments[1]))
+    elif RIG in arguments:
+        _tell_lines()
+        _load_rig(THESIS in arguments)
     else:
         prepare(thesis=True)
     return 0
 
 
-def _compile_rig(thesis: bool) -> None:
+def _ship(path: Path) -> None:
+    """Puts the kernels into a folder: those on disk, and what has to be compiled."""
+    from meshpoint.controller.warm_up import warm_up
+    from meshpoint.testbench.loop.compiled_mark import CompiledMark
+
+    folder = KernelFolder(path)
+    WATCH.taken = folder.write
+    warm_up(baselines=True)
+    _load_rig(thesis=True)
+    for kernels in (RIG, THESIS):
+        CompiledMark(kernels).put_into(folder)
+
+
+def _tell_lines() -> None:
     """One line for each kernel. What the cache has to say goes the same way, so that both sides say
     it once."""
-    from meshpoint.gearbox import load_sheet
-    from meshpoint.rig_sim.presets import build_world
-    from meshpoint.rig_sim.settings import Preset, RigSettings
 
     def tell(package: str) -> None:
         sys.stdout.write(package + "\n")
@@ -151,9 +169,17 @@ def _compile_rig(thesis: bool) -> None:
 
     WATCH.compiling = tell
     WATCH.say = lambda line: tell(SAID + line)
-    build_world(load_sheet("truck12"), RigSettings())
-    if thesis:
-        build_world(load_sheet("truck12"), RigSettings(preset=Preset.THESIS))
+
+
+def _load_rig(thesis: bool) -> None:
+    """The rig's kernels, loaded here or compiled; those by which the truck's true future is looked
+    up too."""
+    from meshpoint.gearbox import load_sheet
+    from meshpoint.rig_sim.presets import warm_up
+    from meshpoint.rig_sim.settings import Preset
+
+    for preset in (Preset.TRUCK, Preset.THESIS) if thesis else (Preset.TRUCK,):
+        warm_up(load_sheet("truck12"), preset)
 
 
 if __name__ == "__main__":
