@@ -127,7 +127,7 @@ def test_a_damaged_kernel_of_the_wheel_is_compiled_and_kept_by_the_user(
 def test_kernels_are_for_a_kind_of_processor_not_for_the_one_at_hand(
     given: dict[str, str], allowed: set[str]
 ) -> None:
-    """"None": this machine has no such processor."""
+    """ "None": this machine has no such processor."""
     script = (
         "import meshpoint.kernel_target, numba\n"
         "print(numba.core.config.CPU_NAME, meshpoint.kernel_target.has_common())"
