@@ -87,7 +87,7 @@ def test_a_small_packed_file_of_endless_content_is_refused_early(
     with gzip.open(path, "wb") as packed:
         packed.write(b"(1.0) can0 123#00\n")
         for _ in range(64):
-            packed.write(b"\n" * 2**20)
+            packed.write((b" " * 1023 + b"\n") * 2**10)
     with pytest.raises(LogError, match=r"over 200 times what it is packed") as refused:
         list(read_log(path))
     assert refused.value.file == path
