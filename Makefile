@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts locks stubs bench clean
+.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -148,6 +148,11 @@ docs: $(VENV)/docs.stamp
 contracts: $(VENV)/test.stamp
 	tools/linked-tree
 	cd build/tree && $(CURDIR)/$(BIN)/lint-imports --config $(CURDIR)/pyproject.toml --cache-dir ../import_linter
+
+# Files, lines, rooms, floors and arrows, counted.
+shape: $(VENV)/test.stamp
+	tools/linked-tree
+	$(BIN)/python tools/shape.py
 
 bench: $(VENV)/test.stamp
 	$(BIN)/python -m benchmarks
