@@ -21,10 +21,10 @@ import meshpoint
 from meshpoint.api.bench import rig_settings
 from meshpoint.api.choices import setup_of
 from meshpoint.bus.core import AroundCore, Step
-from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, MainGear
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE

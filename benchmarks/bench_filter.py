@@ -28,9 +28,9 @@ from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pres
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, thesis_filter
 from meshpoint.controller.motion.models import diagonal, first_order_law, free_motion
-from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
+from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US
 
 EDGES, BATCH = 160, 16

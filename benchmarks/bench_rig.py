@@ -37,8 +37,8 @@ import numba
 import numpy as np
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.rig_sim.jit import OPTIONS
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.jit import BARE
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.motion import rates
@@ -130,7 +130,7 @@ def scipy_peer(world: TruckWorld, seconds: float) -> None:
     )  # fmt: skip
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(**BARE)
 def _slope(rigs: Any, y: Any, rate: Any) -> None:
     rig = rigs[0]
     for i in range(len(y)):
@@ -140,7 +140,7 @@ def _slope(rigs: Any, y: Any, rate: Any) -> None:
         rate[i] = rig.ahead.vector[i]
 
 
-@numba.njit(**OPTIONS)
+@numba.njit(**BARE)
 def _sampled(samples: int, rigs: Any, above: Any) -> int:
     rig = rigs[0]
     y, after = rig.y.vector, rig.after.vector

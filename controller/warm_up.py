@@ -36,12 +36,12 @@ from meshpoint.controller.motion.models import (
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, SWING_STATES
 from meshpoint.controller.planning import plan_kernels
-from meshpoint.controller.records import WORD_BYTES, RecordMemory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.controller.sleeve import cylinder
-from meshpoint.kernel_watch import uncollected
+from meshpoint.kernels.records import WORD_BYTES, RecordMemory, filled
+from meshpoint.kernels.watch import uncollected
 
 
 def warm_up(baselines: bool = False) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.kernel_watch import uncollected
+from meshpoint.kernels.watch import uncollected
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.rig_sim.shared import angle_kernels
 from meshpoint.rig_sim.shared.world import RigWorld

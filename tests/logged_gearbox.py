@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import Range, Split, load_sheet
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.log_reader import FreeRun, Wheel
 from meshpoint.testbench.identify.valve_switches import Switch
 from meshpoint.units import RPM, TURN

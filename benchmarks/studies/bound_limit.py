@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from benchmarks.studies.bound_scene import OMEGA, PRESSURE, THETA, Scene, SceneRun
-from meshpoint.controller.motion.linear_kernels import Vector
+from meshpoint.kernels.records import Vector
 
 QUANTUM_VARIANCE_S2 = 1e-12 / 12.0
 """Of rounding to whole microseconds."""

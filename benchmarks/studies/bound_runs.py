@@ -36,7 +36,6 @@ from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import layshaft_model, predict_linear
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import (
     LayshaftState,
     diagonal,
@@ -50,6 +49,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.sheet import Wheel as SheetWheel
+from meshpoint.kernels.records import Vector
 
 BATCH_US: Final = 10_000.0
 GRID_US: Final = 1_000.0

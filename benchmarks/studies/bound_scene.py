@@ -15,9 +15,9 @@ import numpy as np
 from numpy.random import Generator
 from scipy.linalg import expm
 
-from meshpoint.controller.jit import compiled
-from meshpoint.controller.records import Integers, Vector
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.jit import compiled
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import DEG, RPM
 
 SCENE_STEP_S: Final = 1e-4

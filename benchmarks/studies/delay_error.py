@@ -18,8 +18,8 @@ from benchmarks.studies.record import (
     ThesisVerdict,
 )
 from benchmarks.studies.sensitivity import Release
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.records import Vector
 from meshpoint.units import DEG, RPM
 
 LOW_PCT, HIGH_PCT = 4.0, 16.0

@@ -40,8 +40,8 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ESTIMATOR_NAMES
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.results.estimation import Sample
 from meshpoint.units import DEG, RPM
 

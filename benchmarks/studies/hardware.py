@@ -32,10 +32,10 @@ from benchmarks.studies.record import (
     ThesisVerdict,
     rms,
 )
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import count, group, quantity
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset
 
 BASE = "as the data sheet"

@@ -9,11 +9,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.gearbox.sheet import Wheel
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.parts.drag import thickening
 from meshpoint.rig_sim.parts.pneumatics import choked_rate, flow_share
 from meshpoint.rig_sim.settings import Preset, Profile

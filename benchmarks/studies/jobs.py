@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -14,6 +13,7 @@ from meshpoint.dbc.messages import GearboxSensors, Message, ShiftOutcome, ShiftR
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.rig_sim.truck.as_built import linear, nominal
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs

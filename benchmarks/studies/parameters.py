@@ -20,9 +20,10 @@ from benchmarks.studies.record import (
 )
 from benchmarks.studies.sensitivity import Release
 from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import LINEAR, Vector
+from meshpoint.controller.motion.linear_kernels import LINEAR
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.records import Vector
 
 LIMIT_PCT = 1.0
 MU, J_LS, J_IS_LOW, J_IS_HIGH, C = (

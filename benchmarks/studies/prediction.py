@@ -32,10 +32,10 @@ from meshpoint.controller.motion.linear import (
     predict_hold,
     predict_linear,
 )
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.records import Vector
 from meshpoint.units import MS_US, RPM, US
 
 SAMPLE_US: Final = 1_000

@@ -14,10 +14,10 @@ import numpy as np
 from benchmarks.studies.record import Given
 from benchmarks.studies.simulated import simulate_shift
 from meshpoint.controller.motion.linear import layshaft_model, predict_hold
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 SAMPLE_US: Final = 1_000

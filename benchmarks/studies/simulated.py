@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.studies.record import Braking
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.shared.angles import Shafts, StartAngles
 from meshpoint.rig_sim.thesis.plant import ThesisPlant
 from meshpoint.units import MS_US, RPM, TURN, US

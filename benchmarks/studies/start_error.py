@@ -21,10 +21,10 @@ from benchmarks.studies.record import (
     ThesisVerdict,
 )
 from benchmarks.studies.sensitivity import CAP, Release, capped, easiest_first, gear_name
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.records import Vector
 from meshpoint.units import DEG, RPM
 
 Effect = Callable[[Release, float], float]

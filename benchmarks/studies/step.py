@@ -24,10 +24,10 @@ from benchmarks.studies.record import (
 from benchmarks.studies.sensitivity import Release
 from meshpoint.controller.motion import linear_kernels as kernels
 from meshpoint.controller.motion.linear import layshaft_model, predict_euler
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 WORD_BYTES: Final = 8

@@ -15,10 +15,11 @@ import numpy as np
 from benchmarks.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from benchmarks.studies.record import Given
 from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import Vector, propagate
+from meshpoint.controller.motion.linear_kernels import propagate
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
 from meshpoint.units import BAR, RPM

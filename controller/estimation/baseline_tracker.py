@@ -17,11 +17,11 @@ from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, propagate, thesis_filter
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict
-from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
+from meshpoint.kernels.records import RecordMemory
 
 START_SD_PRESSURE_PA = 2e4
 """Standard deviation of the pressure when the filter starts: the valve has been off for a while,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.jit import compiled, record_on
 from meshpoint.controller.motion.kernels import STATE, travel
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.jit import compiled, record_on
+from meshpoint.kernels.records import Vector
 
 
 @compiled

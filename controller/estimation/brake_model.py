@@ -25,9 +25,9 @@ from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.touch_and_lag import TouchAndLag, uncorrelated
 from meshpoint.controller.motion.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.motion.models import MotionModel
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)

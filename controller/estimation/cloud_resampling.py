@@ -26,7 +26,7 @@ from meshpoint.controller.motion.lash_motion import (
     WAY,
     WHEELS,
 )
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.kernels.records import Integers, Vector
 
 KERNEL: Final = 0.4
 """Spread of each driveline, in standard deviations of those in the same contact; Liu and West's h.

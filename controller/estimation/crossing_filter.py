@@ -20,8 +20,8 @@ from meshpoint.controller.estimation.crossing_layout import (
 )
 from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, state_of
-from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import RecordMemory, Vector
 
 MOST_REFUSED: Final = 0.1
 """Where a larger share of the edges was refused they show something else than the model."""

@@ -29,7 +29,6 @@ from meshpoint.controller.estimation.crossing_layout import (
     SNAPSHOT_WORDS,
     Filter,
 )
-from meshpoint.controller.jit import bare, compiled, inlined, record_on
 from meshpoint.controller.motion.kernels import (
     DRAG,
     LONGEST_S,
@@ -45,7 +44,8 @@ from meshpoint.controller.motion.kernels import (
     spread_over,
     transition,
 )
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.jit import bare, compiled, inlined, record_on
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 MOST_IN_A_ROW: Final = 8

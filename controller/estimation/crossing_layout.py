@@ -8,7 +8,7 @@ import numpy as np
 
 from meshpoint.controller.motion.kernels import STATES, Model, MotionState, MotionStep
 from meshpoint.controller.motion.swing_kernels import SWING_STATES
-from meshpoint.controller.records import (
+from meshpoint.kernels.records import (
     WORD_BYTES,
     Layout,
     Over,

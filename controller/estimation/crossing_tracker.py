@@ -46,10 +46,10 @@ from meshpoint.controller.motion.models import (
     following_motion,
     following_start,
 )
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import Vector
 
 VISCOUS_FACTOR: Final = 3.0
 """A gearbox's viscous friction is its sheet's within this factor, one standard deviation: oil,

@@ -9,9 +9,9 @@ import numpy as np
 
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, cruise_filter
 from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CruiseFilterTuning
+from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US
 
 SPEED_WINDOW_US = 10_000

@@ -21,8 +21,8 @@ from meshpoint.controller.estimation.likelihood import Learned, Search, prior, r
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion
 from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY
-from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import TURN
 
 NATURAL, DAMPING, SPEED, NOISE = range(4)

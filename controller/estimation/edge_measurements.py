@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 
 def grouped(edges: Vector, within_us: float) -> tuple[Vector, Vector]:

@@ -18,10 +18,10 @@ from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.touch_and_lag import best_of
 from meshpoint.controller.motion.kernels import DISTURBANCE, DRAG, GAIN
 from meshpoint.controller.motion.models import Disturbance, MotionModel
-from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.sensing.pressure_samples import PressureSamples, together
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import SECOND_US
 
 EDGE_TIME, TORQUE, MEMORY = range(3)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
 """A sequence each."""

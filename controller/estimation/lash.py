@@ -31,8 +31,8 @@ from meshpoint.controller.motion.lash_motion import (
     LashModel,
 )
 from meshpoint.controller.motion.lash_trajectory import Chance
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox.driveline import Axle
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 DRIVELINES: Final = 2500

@@ -31,7 +31,6 @@ from meshpoint.controller.estimation.lash import (
     LashStart,
     VehicleTrajectory,
 )
-from meshpoint.controller.jit import bare
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -43,7 +42,8 @@ from meshpoint.controller.motion.lash_motion import (
     move,
 )
 from meshpoint.controller.motion.lash_trajectory import LashTrajectory
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.jit import bare
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 FOLLOWED: Final = 240

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 AHEAD_US: Final = 45_000.0
 """A sleeve takes this long to its gear, so predictions are compared so far ahead."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.lash import LashStart, VehicleTrajectory
 from meshpoint.controller.estimation.loaded_driveline import BehindState
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 FIT_US: Final = 300_000.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 from meshpoint.controller.motion.models import LayshaftState, MotionModel
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.kernels.records import Vector
 
 
 class LayshaftModels(NamedTuple):

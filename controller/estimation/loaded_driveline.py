@@ -29,9 +29,9 @@ from meshpoint.controller.estimation.loaded_kernels import (
     follow_loaded,
     loaded_ahead,
 )
-from meshpoint.controller.records import RecordMemory, Vector, filled
 from meshpoint.gearbox import DriveGear, GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.kernels.records import RecordMemory, Vector, filled
 from meshpoint.units import US
 
 MEASUREMENT_US: Final = 4000.0

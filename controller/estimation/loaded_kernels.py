@@ -23,8 +23,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined, record_on
-from meshpoint.controller.records import Vector, layout_of
+from meshpoint.kernels.jit import compiled, inlined, record_on
+from meshpoint.kernels.records import Vector, layout_of
 from meshpoint.units import US
 
 GEAR, GEAR_SPEED, TWIST, WHEELS, TYRE, VEHICLE, HILL, WRONG, VEHICLE_INVERSE = range(9)

@@ -39,11 +39,11 @@ from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, STEADY, SWING_STATES
-from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
 from meshpoint.gearbox.driveline import Axle
+from meshpoint.kernels.records import RecordMemory, Vector
 from meshpoint.units import US
 
 NO_SWITCHES: Final = np.empty((2, 0))

@@ -20,7 +20,6 @@ from meshpoint.controller.estimation.swing_layout import (
     SwingFilter,
     swing_memory,
 )
-from meshpoint.controller.jit import bare, inlined
 from meshpoint.controller.motion.kernels import OMEGA, THETA, mirror
 from meshpoint.controller.motion.swing_kernels import (
     FIRST_MODE,
@@ -31,7 +30,8 @@ from meshpoint.controller.motion.swing_kernels import (
     swing_spread,
     swing_step,
 )
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.jit import bare, inlined
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 

@@ -12,7 +12,7 @@ from meshpoint.controller.motion.swing_kernels import (
     SwingState,
     SwingStep,
 )
-from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
+from meshpoint.kernels.records import WORD_BYTES, Over, Records, Vector, layout_of
 
 
 class SwingSnapshot:

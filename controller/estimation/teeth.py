@@ -23,9 +23,9 @@ from meshpoint.controller.estimation.tooth_match import (
     compare,
     turned,
 )
-from meshpoint.controller.records import Integers, RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import NO_EDGES, EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import Integers, RecordMemory, Vector
 
 NEVER_GATED: Final = 1e9
 NO_SWITCHES: Final = np.empty((2, 0))

@@ -27,9 +27,9 @@ from meshpoint.controller.estimation.teeth import TeethLearner, WheelTeeth
 from meshpoint.controller.estimation.tooth_match import PatternEquations
 from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.motion.models import WALK_RAD_S2, following_motion, following_start
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import MS_IN_US, CrossingFilterTuning
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 TURNS: Final = 3

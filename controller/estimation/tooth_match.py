@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 MARGIN: Final = 30.0
 """By how much J of the best turn must lead: a likelihood ratio of e^15, some 3 million to 1."""

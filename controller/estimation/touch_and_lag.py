@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 MOST_TOUCH_PA: Final = 1.0e5
 MOST_LAG_S: Final = 20e-3

@@ -14,9 +14,9 @@ from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, Filter
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.teeth_in_gear import TeethInGear
 from meshpoint.controller.motion.kernels import OMEGA, THETA
-from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import RecordMemory, Vector
 
 LEAST_RAD_S: Final = 1.0
 """A slower shaft counts as this fast where the time from edge to edge is asked for."""

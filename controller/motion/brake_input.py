@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 SWITCHES_KEPT: Final = 16
 """Switches kept: a shift makes a handful, and pressure forgets within ten time constants."""

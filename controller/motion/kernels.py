@@ -23,8 +23,8 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined, new_record, record_on
-from meshpoint.controller.records import Over, Records, Vector, layout_of
+from meshpoint.kernels.jit import compiled, inlined, new_record, record_on
+from meshpoint.kernels.records import Over, Records, Vector, layout_of
 from meshpoint.units import US
 
 STATES: Final = 6

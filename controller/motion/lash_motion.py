@@ -26,8 +26,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.jit import DISABLED, bare, inlined
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.jit import DISABLED, bare, inlined
+from meshpoint.kernels.records import Vector
 
 ANGLE, SPEED, DRAG, WAY, WHEELS, TYRE, VEHICLE, HILL, STIFF, LOSS, HALF, TYRE_STIFF = range(12)
 """Rows of a cloud: `theta, w, a, z, w_A, y, w_V, g, k, c, h, c_t`."""

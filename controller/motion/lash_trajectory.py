@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.jit import DISABLED, compiled, inlined
 from meshpoint.controller.motion.lash_motion import (
     HILL,
     SPEED,
@@ -19,7 +18,8 @@ from meshpoint.controller.motion.lash_motion import (
     each,
     move_often,
 )
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.kernels.jit import DISABLED, compiled, inlined
+from meshpoint.kernels.records import Integers, Vector
 
 STEP_S: Final = 2.5e-3
 STEPS: Final = 49

@@ -11,8 +11,8 @@ import numpy as np
 
 from meshpoint.controller.motion.linear_kernels import LINEAR, propagate
 from meshpoint.controller.motion.models import LayshaftState
-from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.kernels.records import Vector, filled
 from meshpoint.units import US
 
 

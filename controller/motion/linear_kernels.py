@@ -19,12 +19,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final
 
-from meshpoint.controller import records
-from meshpoint.controller.jit import compiled, inlined, new_record, record_on
-from meshpoint.controller.records import Over, layout_of
+from meshpoint.kernels.jit import compiled, inlined, new_record, record_on
+from meshpoint.kernels.records import Over, Vector, layout_of
 from meshpoint.units import US
-
-Vector = records.Vector
 
 
 class Linear:

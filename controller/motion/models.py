@@ -19,10 +19,10 @@ from meshpoint.controller.motion.kernels import (
     settling,
     travel,
 )
-from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.kinematics import are_finite
+from meshpoint.kernels.records import RecordMemory, Vector
 from meshpoint.units import US
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling

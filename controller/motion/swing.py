@@ -16,7 +16,7 @@ from meshpoint.controller.motion.swing_kernels import (
     swing_outlook,
     swing_trajectories,
 )
-from meshpoint.controller.records import RecordMemory, Vector
+from meshpoint.kernels.records import RecordMemory, Vector
 from meshpoint.units import US
 
 OUTLOOK_US: Final = 10_000.0

@@ -25,9 +25,9 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined, new_record, record_on
 from meshpoint.controller.motion.kernels import copy_on, measure
-from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
+from meshpoint.kernels.jit import compiled, inlined, new_record, record_on
+from meshpoint.kernels.records import WORD_BYTES, Over, Records, Vector, layout_of
 
 MODES: Final = 2
 SWING_STATES: Final = 3 + 2 * MODES

@@ -25,9 +25,9 @@ from meshpoint.controller.motion.models import (
 from meshpoint.controller.motion.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, trajectories, trajectory
-from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.kinematics import slip_rad_s
+from meshpoint.kernels.records import Vector, filled
 from meshpoint.units import US
 
 MOST_TICKS = 16

@@ -18,9 +18,9 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined, record_on
 from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, copy_on, travel
-from meshpoint.controller.records import WORD_BYTES, Vector, filled, layout_of
+from meshpoint.kernels.jit import compiled, inlined, record_on
+from meshpoint.kernels.records import WORD_BYTES, Vector, filled, layout_of
 from meshpoint.units import US
 
 

@@ -10,8 +10,8 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.jit import bare, compiled, record_on
-from meshpoint.controller.records import WORD_BYTES, Integers, Vector, layout_of
+from meshpoint.kernels.jit import bare, compiled, record_on
+from meshpoint.kernels.records import WORD_BYTES, Integers, Vector, layout_of
 
 STAMPS: Final = 27
 BROKEN: Final = -1

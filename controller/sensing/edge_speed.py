@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Integers
 from meshpoint.controller.sensing.chain_kernels import STAMPS, newest_teeth, pack_stamps
 from meshpoint.controller.sensing.wheel_edges import EdgeFrame
 from meshpoint.dbc.sensor_time import HALF, WRAP
+from meshpoint.kernels.records import Integers
 
 DEAD_US: Final = 20_000
 """If the newest edge of a frame is older than this, and older than three teeth took before, the

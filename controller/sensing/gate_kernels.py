@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.jit import bare, inlined, record_on
-from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.sensing.gate_layout import (
     AFTER_REJECTED,
     BETTER,
@@ -71,6 +69,8 @@ from meshpoint.controller.sensing.gate_layout import (
     teeth_of,
 )
 from meshpoint.controller.sensing.gate_search import begin_search, judge_gap, search
+from meshpoint.kernels.jit import bare, inlined, record_on
+from meshpoint.kernels.records import Integers, Vector
 
 
 @inlined

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, RecordMemory, Vector, layout_of
+from meshpoint.kernels.records import Integers, RecordMemory, Vector, layout_of
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets

@@ -5,8 +5,6 @@ Every tooth is a candidate for the first edge until the steps seen since fit onl
 
 from __future__ import annotations
 
-from meshpoint.controller.jit import inlined
-from meshpoint.controller.records import Integers
 from meshpoint.controller.sensing.gate_layout import (
     COUNTING,
     DOUBT,
@@ -16,6 +14,8 @@ from meshpoint.controller.sensing.gate_layout import (
     UNKNOWN,
     Gate,
 )
+from meshpoint.kernels.jit import inlined
+from meshpoint.kernels.records import Integers
 
 
 @inlined

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
 LONGEST_US: Final = 30_000

@@ -12,7 +12,6 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, RecordMemory, Vector
 from meshpoint.controller.sensing.chain_kernels import (
     BROKEN,
     CHAIN,
@@ -32,6 +31,7 @@ from meshpoint.controller.sensing.gate_layout import (
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.sensor_count import SensorCount
 from meshpoint.gearbox.sheet import Wheel
+from meshpoint.kernels.records import Integers, RecordMemory, Vector
 
 LONG_AGO_US: Final = -(1 << 62)
 LONGEST_US: Final = 65_535

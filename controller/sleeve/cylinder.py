@@ -16,8 +16,8 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined, record_on
-from meshpoint.controller.records import WORD_BYTES, Vector, layout_of
+from meshpoint.kernels.jit import compiled, inlined, record_on
+from meshpoint.kernels.records import WORD_BYTES, Vector, layout_of
 
 STEP_S: Final = 1e-4
 GAS_J_KGK: Final = 287.05

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import (
     DETENT,
     FEED,
@@ -22,6 +21,7 @@ from meshpoint.controller.sleeve.cylinder import (
 from meshpoint.controller.sleeve.fit import Figures, slopes
 from meshpoint.controller.sleeve.law import Prior, SleeveLaw
 from meshpoint.controller.sleeve.motion import Start, Switch, Way, Ways, follow, single
+from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US
 
 

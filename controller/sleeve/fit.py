@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import DETENT, FEED, IN_GEAR, OFFSET, PARAMETERS
 from meshpoint.controller.sleeve.law import Prior
+from meshpoint.kernels.records import Vector
 
 SAMPLE_SD_M: Final = 8e-5
 """Of a sample from the law: its noise, and what a law leaves out."""

@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import (
     DETENT,
     DETENT_UNIT_N,
@@ -33,6 +32,7 @@ from meshpoint.controller.sleeve.cylinder import (
     carry,
 )
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
 
 OFFSET_UNIT_M: Final = 1e-3
 OFFSET_SD: Final = 0.12

@@ -7,12 +7,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import DETENT, DETENT_UNIT_N, OFF, ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stopping import stopping_m
 from meshpoint.controller.sleeve.stroke import contact_sd_s, contacts_us, to_contact
+from meshpoint.kernels.records import Vector
 from meshpoint.units import BAR, US
 
 ABOUT_PA: Final = 0.5 * BAR

@@ -6,7 +6,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import (
     FOREVER,
     WAY,
@@ -14,6 +13,7 @@ from meshpoint.controller.sleeve.cylinder import (
     carry,
 )
 from meshpoint.controller.sleeve.law import SleeveLaw
+from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
 NO_SWITCHES: Final = np.zeros((0, 3))

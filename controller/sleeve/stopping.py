@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.answers import Halt
 from meshpoint.controller.sleeve.cylinder import PARAMETERS, TO_REST, TO_TIME, TO_TURN
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stroke import to_contact
+from meshpoint.kernels.records import Vector
 
 STOPS_US: Final = 40_000
 """A sleeve that is stopped in flight stands within this time, or is not stopped."""

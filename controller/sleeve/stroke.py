@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sleeve.cylinder import TO_LEVEL
 from meshpoint.controller.sleeve.driven import DrivenSleeve
 from meshpoint.controller.sleeve.motion import Switch, Way, Ways, single
+from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
 LONGEST_US: Final = 500_000

@@ -36,7 +36,7 @@ def run_parsed(parse: Callable[[], argparse.Namespace]) -> int:
     The namespace has `run`, which is called with it, `program` for the errors, and `debug`."""
     with lasting_error() as said:
         namespace = parse()
-        from meshpoint.kernel_watch import WATCH
+        from meshpoint.kernels.watch import WATCH
         from meshpoint.testbench.loop.compiling import Progress
 
         before = WATCH.compiling

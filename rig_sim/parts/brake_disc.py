@@ -10,8 +10,8 @@ between 40 and 120 degC; its slope against speed has either sign, depending on t
 
 from __future__ import annotations
 
-from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.records import Record
+from meshpoint.kernels.jit import piece
+from meshpoint.kernels.structures import Record
 
 LEAST_FRICTION_SHARE = 0.2
 
@@ -29,7 +29,7 @@ class DiscBrake(Record):
     cooling_w_k: float
 
 
-@part
+@piece
 def friction_share(omega_rad_s: float, disc_k: float, brake: DiscBrake) -> float:
     """Friction over its nominal value; never less than a fifth."""
     share = (1.0 - brake.fade_per_k * (disc_k - brake.reference_k)) * (
@@ -38,13 +38,13 @@ def friction_share(omega_rad_s: float, disc_k: float, brake: DiscBrake) -> float
     return max(share, LEAST_FRICTION_SHARE)
 
 
-@part
+@piece
 def brake_nm(gauge_pa: float, share: float, brake: DiscBrake) -> float:
     """Torque of the pressed disc, unsigned; at rest it is what the disc can hold."""
     return brake.gain_nm_pa * max(gauge_pa - brake.touch_pa, 0.0) * share
 
 
-@part
+@piece
 def heating_k_s(power_w: float, disc_k: float, oil_k: float, brake: DiscBrake) -> float:
     """How fast the disc gets warmer."""
     return (power_w - brake.cooling_w_k * (disc_k - oil_k)) / brake.heat_j_k

@@ -19,9 +19,9 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
-from meshpoint.rig_sim.jit import entry, inlined, part
+from meshpoint.kernels.jit import bare, inlined, piece
+from meshpoint.kernels.structures import Floats, Record, Row, Vector
 from meshpoint.rig_sim.parts.pneumatics import GAS_J_KGK, NORMAL_K, NORMAL_KG_M3, flow_share
-from meshpoint.rig_sim.records import Floats, Record, Row, Vector
 
 CRITICAL: Final = 0.3
 POLYTROPIC: Final = 1.2
@@ -87,7 +87,7 @@ class Cylinder(Record):
     walled: int  # direction in which a bound stops it for good; 0: neither
 
 
-@part
+@piece
 def _push_n(y: AxialState, c: Cylinder) -> float:
     """What air and detents push with, towards +x."""
     push = (y.a_pa - y.b_pa) * c.area_m2
@@ -112,7 +112,7 @@ def _flow(pa: float, spool: int, fill: float, vent: float, c: Cylinder) -> float
     return conductance * (inward - outward)
 
 
-@part
+@piece
 def _rates(y: AxialState, rate: AxialState, c: Cylinder) -> None:
     swept = c.area_m2 * y.v_m_s
     flow = GAS_J_KGK * NORMAL_K * NORMAL_KG_M3
@@ -133,7 +133,7 @@ def _rates(y: AxialState, rate: AxialState, c: Cylinder) -> None:
         rate.v_m_s = force / c.mass_kg
 
 
-@part
+@piece
 def _step(c: Cylinder, h: float) -> None:
     """One step from `y` into `after`."""
     y, after, stages = c.y.vector, c.after.vector, c.stages
@@ -149,7 +149,7 @@ def _step(c: Cylinder, h: float) -> None:
         after[i] = y[i] + h / 6.0 * (k0[i] + 2.0 * (k1[i] + k2[i]) + k3[i])
 
 
-@part
+@piece
 def _breaks(y: AxialState, c: Cylinder) -> int:
     """The direction in which a sleeve that stands begins to move, or 0."""
     push = _push_n(y, c)
@@ -162,7 +162,7 @@ def _breaks(y: AxialState, c: Cylinder) -> int:
     return direction
 
 
-@part
+@piece
 def _happened(c: Cylinder) -> int:
     """What has happened by the state `after`; RUNS: nothing."""
     if c.direction == 0:
@@ -206,7 +206,7 @@ def _sample(samples: Floats, row: int, t: float, c: Cylinder) -> None:
     samples[row, 3], samples[row, 4], samples[row, 5] = y.a_pa, y.b_pa, _push_n(y, c)
 
 
-@entry
+@bare
 def run_ahead(cylinders: Sequence[Cylinder], duration_s: float, samples: Floats) -> tuple[int, int]:
     """Integrates the cylinder to the next thing that happens on its axis, at most for this long or
     until the samples are full. The number of samples, the first of them the beginning, and why it

@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final
 
-from meshpoint.rig_sim.jit import inlined
-from meshpoint.rig_sim.records import Record, Row
+from meshpoint.kernels.jit import inlined
+from meshpoint.kernels.structures import Record, Row
 
 SOURCES: Final = 6
 """Five bodies (`layout`) and the driven wheels, which the road shakes."""

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.rig_sim.jit import part
+from meshpoint.kernels.jit import piece
 from meshpoint.rig_sim.parts.saturation import saturated
 
 WARM_K: Final = 353.15
 
 
-@part
+@piece
 def drag_nm(omega_rad_s: float, constant_nm: float, viscous_nms: float) -> float:
     """Torque against the rotation, with the sign of the speed."""
     return constant_nm * saturated(omega_rad_s) + viscous_nms * omega_rad_s

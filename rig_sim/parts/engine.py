@@ -9,8 +9,8 @@ The clutch carries T_max (x - kiss) / (1 - kiss) at position x, and slips beyond
 
 from __future__ import annotations
 
-from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.records import Record
+from meshpoint.kernels.jit import piece
+from meshpoint.kernels.structures import Record
 
 IDLE, SPEED_CONTROL, TORQUE_CONTROL, DRIVE = range(4)
 """What the engine is asked for: idle, by TSC1 a speed or a torque, or in gear a speed held."""
@@ -34,7 +34,7 @@ class ClutchPlates(Record):
     kiss: float  # position at which the plates touch
 
 
-@part
+@piece
 def demand_nm(mode: int, target: float, omega_rad_s: float, engine: EngineLimits) -> float:
     """What the engine is asked for; `target` is rad/s, or Nm in torque control."""
     if mode == TORQUE_CONTROL:
@@ -45,14 +45,14 @@ def demand_nm(mode: int, target: float, omega_rad_s: float, engine: EngineLimits
     return min(max(demand, engine.least_nm), engine.most_nm)
 
 
-@part
+@piece
 def torque_nm_s(demanded_nm: float, torque_nm: float, engine: EngineLimits) -> float:
     """How fast the torque follows."""
     wanted_nm_s = (demanded_nm - torque_nm) * engine.lag_rate
     return min(max(wanted_nm_s, -engine.limit_nm_s), engine.limit_nm_s)
 
 
-@part
+@piece
 def capacity_nm(position: float, plates: ClutchPlates) -> float:
     """What the clutch can carry."""
     share = (position - plates.kiss) / (1.0 - plates.kiss)

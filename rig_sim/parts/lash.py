@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.rig_sim.jit import part
+from meshpoint.kernels.jit import piece
+from meshpoint.kernels.structures import Record
 from meshpoint.rig_sim.parts.saturation import saturated
-from meshpoint.rig_sim.records import Record
 
 LASH_FIRM_NM: Final = 0.5  # T_s; s is `saturation.saturated`
 
@@ -25,7 +25,7 @@ class Backlash(Record):
     rate: float  # 1 / tau, 1/s
 
 
-@part
+@piece
 def lash_rad_s(y_rad: float, torque_nm: float, lash: Backlash) -> float:
     """How fast the wheel moves in its backlash."""
     return (-lash.half_rad * saturated(torque_nm / LASH_FIRM_NM) - y_rad) * lash.rate

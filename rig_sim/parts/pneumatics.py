@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.records import Record
+from meshpoint.kernels.jit import piece
+from meshpoint.kernels.structures import Record
 
 FIRST_ORDER: Final = 0.0
 LAMINAR_FROM: Final = 0.99
@@ -39,7 +39,7 @@ class BrakeAir(Record):
     recovery: float  # of the tank's pressure, 1/s
 
 
-@part
+@piece
 def flow_share(before_pa: float, behind_pa: float, critical: float) -> float:
     """Mass flow over that of the choked valve, 0..1; the flow goes downhill only."""
     if before_pa <= behind_pa:
@@ -54,7 +54,7 @@ def flow_share(before_pa: float, behind_pa: float, critical: float) -> float:
     return math.sqrt(1.0 - part_way * part_way)
 
 
-@part
+@piece
 def chamber_pa_s(pa: float, supply_pa: float, valve: float, air: BrakeAir) -> float:
     """How fast the pressure in the chamber rises."""
     ambient_pa = air.atmosphere_pa
@@ -65,7 +65,7 @@ def chamber_pa_s(pa: float, supply_pa: float, valve: float, air: BrakeAir) -> fl
     return -air.exhaust * pa * flow_share(pa, ambient_pa, air.critical)
 
 
-@part
+@piece
 def tank_pa_s(pa: float, governed_pa: float, filling_pa_s: float, air: BrakeAir) -> float:
     """How fast the tank's pressure rises: compressor less what fills the chamber."""
     return air.recovery * (governed_pa - pa) - air.droop * max(filling_pa_s, 0.0)

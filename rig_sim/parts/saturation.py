@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.rig_sim.jit import part
+from meshpoint.kernels.jit import piece
 
 FULL: Final = 15.0 / 8.0
 """From here on, either way, the function is exactly 1."""
 PER_FULL: Final = 1.0 / FULL
 
 
-@part
+@piece
 def saturated(x: float) -> float:
     """-1..1, odd, with slope 1 at zero like tanh, twice differentiable.
 

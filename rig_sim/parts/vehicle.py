@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.rig_sim.jit import part
+from meshpoint.kernels.jit import piece
+from meshpoint.kernels.structures import Record
 from meshpoint.rig_sim.parts.saturation import saturated
-from meshpoint.rig_sim.records import Record
 
 GRAVITY_M_S2: Final = 9.81
 CREEP_M_S: Final = 0.1
@@ -27,7 +27,7 @@ class RoadLoad(Record):
     air_ns2_m2: float  # 1/2 rho c_d A
 
 
-@part
+@piece
 def resistance_n(speed_m_s: float, road: RoadLoad) -> float:
     """Rolling and air resistance, with the sign of the speed."""
     rolling = road.rolling_n * saturated(speed_m_s / CREEP_M_S)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
-from meshpoint.rig_sim import jit
-from meshpoint.rig_sim.jit import Kernel
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.jit import bare
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.shared.capture_records import (
     CHANNELS,
     PIECES,
@@ -23,15 +22,8 @@ Turned = tuple[int, float]
 
 TAU: Final = 2.0 * math.pi
 
-WITHOUT_RUNTIME: Final[dict[str, Any]] = {"_nrt": False}
 
-
-def compiled(function: Kernel) -> Kernel:
-    """An entry point without numba's runtime, dividing as Python does."""
-    return jit.entry(function, WITHOUT_RUNTIME)
-
-
-@compiled
+@bare
 def settled(turns: int, rest: float) -> tuple[int, float]:
     """The same angle with its rest brought into [0, 2 pi)."""
     extra = math.floor(rest / TAU)
@@ -45,7 +37,7 @@ def settled(turns: int, rest: float) -> tuple[int, float]:
     return turns + extra, rest
 
 
-@compiled
+@bare
 def geared(angle: Turned, teeth: int, other: int, offset: Turned) -> Turned:
     """An angle times teeth / other, and an offset: exact in the whole turns, however many."""
     whole = angle[0] * teeth
@@ -55,14 +47,14 @@ def geared(angle: Turned, teeth: int, other: int, offset: Turned) -> Turned:
     return settled(quotient + offset[0], rest + offset[1])
 
 
-@compiled
+@bare
 def wrapped(angle: float, pitch: float) -> float:
     """An angle brought into [-pitch/2, pitch/2)."""
     rest = angle - pitch * math.floor(angle / pitch + 0.5)
     return rest if rest < 0.5 * pitch else rest - pitch
 
 
-@compiled
+@bare
 def _clock_before(clock: ClockPieces, time_us: float) -> int:
     index = PIECES - 1
     while index > 0 and time_us < clock.pieces[index].since_us:
@@ -71,7 +63,7 @@ def _clock_before(clock: ClockPieces, time_us: float) -> int:
     return piece.base_us + math.floor((time_us - piece.since_us) * piece.rate)
 
 
-@compiled
+@bare
 def read_ring(
     now_us: float,
     on_us: float,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from typing import Annotated, Final
 
-from meshpoint.rig_sim.records import Record, Row
+from meshpoint.kernels.structures import Record, Row
 
 CHANNELS: Final = 8
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import read_ring
 from meshpoint.rig_sim.shared.capture_records import CHANNELS, STAMPS, Captured, Reading
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock

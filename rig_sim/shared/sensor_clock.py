@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.shared.capture_records import PIECES, ClockPieces
 
 PPM: Final = 1e-6

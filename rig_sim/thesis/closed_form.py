@@ -13,8 +13,9 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
-from meshpoint.rig_sim.records import Record, RecordArray, Row
-from meshpoint.rig_sim.shared.angle_kernels import TAU, compiled
+from meshpoint.kernels.jit import bare
+from meshpoint.kernels.structures import Record, RecordArray, Row
+from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.shared.capture_records import CHANNELS, RING, Captured
 
 ACCELERATED, FREE = range(2)
@@ -67,7 +68,7 @@ class SensorWheels(Record):
     captured: Captured
 
 
-@compiled
+@bare
 def free_motion(motion: Motion, s: float) -> tuple[float, float]:
     """Angle turned through (rad) and speed (rad/s) a time s after the start.
 
@@ -95,7 +96,7 @@ def free_motion(motion: Motion, s: float) -> tuple[float, float]:
     return turned, omega * (1.0 - a * f) - k * (p_end * f + p_diff * e)
 
 
-@compiled
+@bare
 def motion_at(motion: Motion, s: float) -> tuple[float, float]:
     """Angle turned through (rad) and speed (rad/s) a time s after the motion's start."""
     if motion.kind == FREE:
@@ -104,7 +105,7 @@ def motion_at(motion: Motion, s: float) -> tuple[float, float]:
     return (omega + 0.5 * accel * s) * s, omega + accel * s
 
 
-@compiled
+@bare
 def time_to_turn(motion: Motion, angle: float, low: float, high: float, guess: float) -> float:
     """When the shaft has turned through an angle (rad): s in [low, high], where it turns forward.
 
@@ -133,7 +134,7 @@ def time_to_turn(motion: Motion, angle: float, low: float, high: float, guess: f
     return s
 
 
-@compiled
+@bare
 def time_of_stop(motion: Motion, horizon: float) -> float:
     """When a braked shaft comes to rest, s in [0, horizon], or -1: speed falls monotonically."""
     if motion.kind != FREE or motion_at(motion, horizon)[1] > 0.0:
@@ -150,19 +151,19 @@ def time_of_stop(motion: Motion, horizon: float) -> float:
     return high
 
 
-@compiled
+@bare
 def slip_at(driving: Motion, sleeve: Motion, ratio: float, s: float) -> float:
     """Gear speed less sleeve speed (rad/s)."""
     return ratio * motion_at(driving, s)[1] - motion_at(sleeve, s)[1]
 
 
-@compiled
+@bare
 def phase_at(driving: Motion, sleeve: Motion, ratio: float, phase: float, s: float) -> float:
     """Phase (rad, not wrapped) a time s after it was `phase`."""
     return phase + ratio * motion_at(driving, s)[0] - motion_at(sleeve, s)[0]
 
 
-@compiled
+@bare
 def _time_of_no_slip(driving: Motion, sleeve: Motion, ratio: float, horizon: float) -> float:
     rising = slip_at(driving, sleeve, ratio, horizon) > 0.0
     low, high = 0.0, horizon
@@ -177,7 +178,7 @@ def _time_of_no_slip(driving: Motion, sleeve: Motion, ratio: float, horizon: flo
     return 0.5 * (low + high)
 
 
-@compiled
+@bare
 def _time_of_phase(
     driving: Motion,
     sleeve: Motion,
@@ -207,7 +208,7 @@ def _time_of_phase(
     return s
 
 
-@compiled
+@bare
 def time_of_exit(
     driving: Motion,
     sleeve: Motion,
@@ -242,7 +243,7 @@ def time_of_exit(
     return -1.0, 0
 
 
-@compiled
+@bare
 def capture_edges(pieces: Sequence[Piece], sensors: Sequence[SensorWheels]) -> None:
     """Put all edges of a piece of motion into the capture rings; two channels a wheel. Times are
     rounded down, as by a 1 us timer."""

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive, Rotation

@@ -10,7 +10,7 @@ import math
 from enum import IntEnum
 
 from meshpoint.gearbox.sheet import Wheels
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.angle_kernels import TAU, settled
 from meshpoint.rig_sim.shared.angles import Angle

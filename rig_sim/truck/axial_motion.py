@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.cylinder import (
     COLUMNS,
     HIGH,
@@ -27,7 +28,6 @@ from meshpoint.rig_sim.parts.cylinder import (
     Cylinder,
     run_ahead,
 )
-from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 from meshpoint.units import SECOND_US
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from meshpoint.rig_sim.jit import inlined, part
+from meshpoint.kernels.jit import inlined, piece
 from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.shared.capture_records import RING
 from meshpoint.rig_sim.truck import layout as at
@@ -98,7 +98,7 @@ def _error_rad(edge: int, speed_rad_s: float, rig: Rig) -> float:
     return error
 
 
-@part
+@piece
 def _sweep(way: Way, wheel: int, t_us: float, lap: int, rig: Rig) -> None:
     """Records the edges of a wheel that does not reverse, from t_us on; lap: its whole turns."""
     start, end = way.start_rad, way.end_rad

@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.rig_sim.jit import inlined
+from meshpoint.kernels.jit import inlined
 from meshpoint.rig_sim.parts.disturbance import WHEELS_SOURCE, chance_nm
 from meshpoint.rig_sim.parts.vehicle import resistance_n
 from meshpoint.rig_sim.truck.layout import PROPELLER, Rig, RigState, TwistingShafts

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 
 from meshpoint.gearbox.sheet import GearboxSheet, Wheel
+from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.drag import WARM_K
-from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.shared.capture_records import CHANNELS
 from meshpoint.rig_sim.shared.edge_ring import (

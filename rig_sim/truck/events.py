@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.rig_sim.jit import inlined, part
+from meshpoint.kernels.jit import inlined, piece
 from meshpoint.rig_sim.parts.disturbance import orders
 from meshpoint.rig_sim.parts.engine import capacity_nm
 from meshpoint.rig_sim.truck import layout as at
@@ -120,7 +120,7 @@ def _arrival(event: int, low: float, high: float, rig: Rig) -> float:
     return -1.0
 
 
-@part
+@piece
 def _root(event: int, h: float, rig: Rig) -> float:
     """When in the step the event happens; `after` is then the state there (Illinois method)."""
     low, high = 0.0, h

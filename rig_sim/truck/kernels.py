@@ -11,7 +11,8 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from meshpoint.rig_sim.jit import entry, inlined
+from meshpoint.kernels.jit import bare, inlined
+from meshpoint.kernels.structures import Floats
 from meshpoint.rig_sim.parts.disturbance import (
     LOAD_LAG,
     LOAD_NM,
@@ -20,7 +21,6 @@ from meshpoint.rig_sim.parts.disturbance import (
     lead_to_next,
     renew,
 )
-from meshpoint.rig_sim.records import Floats
 from meshpoint.rig_sim.shared.angle_kernels import TAU, wrapped
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.capture import capture
@@ -100,7 +100,7 @@ def _remember(t_us: float, rig: Rig) -> None:
         past.speed_rad_s = rig.y.speed_rad_s[at.LAYSHAFT]
 
 
-@entry
+@bare
 def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -> tuple[float, int]:
     """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`.
 
@@ -158,7 +158,7 @@ def _ignore(event: int, rig: Rig) -> None:
         rig.watches[event - at.LEFT_TOP].gear = -1
 
 
-@entry
+@bare
 def advance_alone(rigs: Sequence[Rig], t_us: float, stop_us: float) -> tuple[float, bool]:
     """Goes on to `stop_us` with no action at events. The time reached (us): earlier where the
     layshaft has come to rest, and whether it has."""
@@ -170,7 +170,7 @@ def advance_alone(rigs: Sequence[Rig], t_us: float, stop_us: float) -> tuple[flo
     return t_us, False
 
 
-@entry
+@bare
 def sample(
     rigs: Sequence[Rig], t_us: float, gear: int, stops_us: Floats, found: Floats
 ) -> tuple[float, bool]:

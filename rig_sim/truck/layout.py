@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, cast
 
+from meshpoint.kernels.structures import Record, Row, Vector
 from meshpoint.rig_sim.parts.brake_disc import DiscBrake
 from meshpoint.rig_sim.parts.disturbance import ChanceNumbers, Disturbance, Shaking
 from meshpoint.rig_sim.parts.engine import ClutchPlates, EngineLimits
 from meshpoint.rig_sim.parts.lash import Backlash
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir
 from meshpoint.rig_sim.parts.vehicle import RoadLoad
-from meshpoint.rig_sim.records import Record, Row, Vector
 from meshpoint.rig_sim.shared.capture_records import CHANNELS, Captured
 
 BODIES: Final = 5

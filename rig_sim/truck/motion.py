@@ -11,7 +11,7 @@ the bodies behind it need. Energies are integrated along with the motion.
 
 from __future__ import annotations
 
-from meshpoint.rig_sim.jit import inlined
+from meshpoint.kernels.jit import inlined
 from meshpoint.rig_sim.parts.brake_disc import brake_nm, friction_share, heating_k_s
 from meshpoint.rig_sim.parts.disturbance import chance_nm, judder, orders
 from meshpoint.rig_sim.parts.drag import drag_nm

@@ -14,9 +14,9 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.disturbance import MERSENNE, NUMBERS, SOURCES
 from meshpoint.rig_sim.parts.vehicle import CREEP_M_S
-from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from meshpoint.rig_sim.jit import part
+from meshpoint.kernels.jit import piece
 from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.rig_sim.truck.motion import rates
 
 
-@part
+@piece
 def step(rig: Rig, h: float) -> None:
     """One Runge-Kutta step from the state y into `after`. stages[0] holds the rates at y; the
     others are scratch."""

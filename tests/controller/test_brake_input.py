@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 DELAY_US = 12_000
 

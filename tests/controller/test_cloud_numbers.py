@@ -11,7 +11,7 @@ from test_lash import Truth, a_lash
 from meshpoint.controller.estimation import lash_cloud
 from meshpoint.controller.estimation.lash import LashStart
 from meshpoint.controller.estimation.lash_cloud import LashCloud
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 TOOTH_RAD = 5e-4
 LEAST_DRAWS = 4

@@ -14,7 +14,7 @@ from test_lash import a_lash
 from meshpoint.controller.estimation.lash import Lash, LashStart
 from meshpoint.controller.estimation.lash_cloud import LashCloud
 from meshpoint.controller.motion.lash_motion import ANGLE, SPEED, VEHICLE, WAY, move
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 START = LashStart(0.0, 0.0, 60.0, 60.0)
 TOOTH_RAD, EDGE_TIME_S = 2e-3, 1e-5

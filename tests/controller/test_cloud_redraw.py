@@ -23,7 +23,7 @@ from meshpoint.controller.motion.lash_motion import (
     WAY,
     WHEELS,
 )
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 COUNT = 4000
 NUMBERS = normal(COUNT)[:9, ::-1]

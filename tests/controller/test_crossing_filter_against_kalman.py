@@ -24,9 +24,9 @@ from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, MAIN_F
 from meshpoint.controller.estimation.teeth import TeethLearner
 from meshpoint.controller.motion.models import MotionModel, first_order_law
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion
-from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import RecordMemory, Vector
 
 TUNING = replace(
     CrossingFilterTuning(),

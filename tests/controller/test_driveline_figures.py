@@ -41,8 +41,8 @@ from meshpoint.controller.motion.lash_motion import (
     VEHICLE,
     WAY,
 )
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox.driveline import Axle
+from meshpoint.kernels.records import Vector
 
 AXLE, RATIO, BACKLASH_RAD, FACTOR = Axle(), 0.27, math.radians(2.0), 2.0
 TURNED_KGM2 = AXLE.main_kgm2 + AXLE.propeller_kgm2 * RATIO**2

@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from meshpoint.controller import jit
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
     HOLD,
@@ -29,7 +28,8 @@ from meshpoint.controller.motion.linear_kernels import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.records import RecordMemory
+from meshpoint.kernels import jit
+from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US
 
 # Pressure in units of the supply (K = 1), so that g is the full braking in rad/s2 and expm, whose
@@ -264,7 +264,7 @@ from meshpoint.controller.motion.lash_motion import (
 )
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, THESIS_FILTER
 from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
-from meshpoint.controller.records import RecordMemory
+from meshpoint.kernels.records import RecordMemory
 rng = np.random.default_rng(11)
 times = np.cumsum(rng.uniform(300.0, 900.0, 200)).round()
 angles = np.arange(1, 201) * np.pi / 45

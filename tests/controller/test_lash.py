@@ -42,11 +42,11 @@ from meshpoint.controller.motion.lash_motion import (
     move,
     move_often,
 )
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
 from meshpoint.gearbox.driveline import Axle, Driveline
+from meshpoint.kernels.records import Vector
 
 AXLE, RATIO, EDGE_RAD = Axle(), 0.27, math.pi / 45.0
 BACKLASH = Driveline()

@@ -32,7 +32,7 @@ from meshpoint.controller.motion.lash_trajectory import (
     Chance,
     LashTrajectory,
 )
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 MODEL = LashModel(wheels_share=0.25, tyre_per_s=4.0, fading_per_s=17.0)
 HALF_GAP_RAD = math.radians(0.95)

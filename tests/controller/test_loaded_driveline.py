@@ -32,9 +32,9 @@ from meshpoint.controller.estimation.loaded_kernels import (
     beyond_flanks,
     loaded_ahead,
 )
-from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.kernels.records import Vector, filled
 
 SHEET = load_sheet("truck12")
 AXLE = SHEET.axle

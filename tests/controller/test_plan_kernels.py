@@ -20,7 +20,7 @@ from meshpoint.controller.planning.plan_kernels import (
     trajectories,
     trajectory,
 )
-from meshpoint.controller.records import Vector, filled
+from meshpoint.kernels.records import Vector, filled
 
 PITCH, HALF, TARGET = 0.13, 0.02, 0.004
 OVERLAP_S, DELAY_SD_S = 2e-3, 1.5e-3

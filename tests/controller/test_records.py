@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from meshpoint.controller.records import (
+from meshpoint.kernels.records import (
     Integers,
     Over,
     RecordMemory,
@@ -93,7 +93,7 @@ from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
 from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
 from meshpoint.controller.planning.plan_kernels import trajectory, expected_least
-from meshpoint.controller.records import filled
+from meshpoint.kernels.records import filled
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.warm_up import warm_up

@@ -17,7 +17,7 @@ from meshpoint.controller.planning.plan_kernels import (
     best_trajectory,
     expected_least,
 )
-from meshpoint.controller.records import filled
+from meshpoint.kernels.records import filled
 
 RELEASES_US = (-5_000, 1_000, 12_000, 30_001, 55_500)
 FIRSTS_US = (60_000.0, 60_000.0, 61_000.0, 75_000.0, 90_000.0)

@@ -20,8 +20,8 @@ from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import SWING_STATES
-from meshpoint.controller.records import Vector
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import Vector
 
 TUNING = CrossingFilterTuning()
 NO_PRESSURES = Pressures(np.empty(0), np.empty(0))

@@ -10,9 +10,9 @@ import pytest
 
 from meshpoint.controller.estimation.teeth import LEAST_SD_RAD, UNLIKE_MODEL, WheelTeeth
 from meshpoint.controller.estimation.tooth_match import PatternEquations, ToothPattern, turned
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernels.records import Vector
 
 TEETH, EDGES = 12, 24
 TUNING = CrossingFilterTuning()

@@ -14,10 +14,10 @@ from meshpoint.controller.estimation.teeth_in_gear import (
     TURNS,
     TeethInGear,
 )
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import ControllerSettings, CrossingFilterTuning
 from meshpoint.gearbox import load_sheet
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop

@@ -18,11 +18,11 @@ from meshpoint.controller.estimation.likelihood import Learned, prior
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.kernels import DRAG
 from meshpoint.controller.motion.models import diagonal, free_motion
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.kernels.records import Vector
 
 TUNING = CrossingFilterTuning(tooth_error_rad=3e-4)
 SHIFTS, SECONDS = 4, 0.35

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from meshpoint.rig_sim.records import Floats
+from meshpoint.kernels.structures import Floats
 from meshpoint.rig_sim.truck.edges import WheelAsMade
 
 TAU = 2.0 * math.pi

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import geared, settled, wrapped
 from meshpoint.rig_sim.thesis.closed_form import (
     ACCELERATED,

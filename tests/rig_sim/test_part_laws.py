@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from meshpoint.kernels.structures import Record, RecordArray
 from meshpoint.rig_sim.parts.brake_disc import DiscBrake, brake_nm, friction_share, heating_k_s
 from meshpoint.rig_sim.parts.drag import drag_nm, thickening
 from meshpoint.rig_sim.parts.engine import (
@@ -36,7 +37,6 @@ from meshpoint.rig_sim.parts.pneumatics import (
     tank_pa_s,
 )
 from meshpoint.rig_sim.parts.vehicle import RoadLoad, resistance_n
-from meshpoint.rig_sim.records import Record, RecordArray
 
 speeds = st.floats(-300.0, 300.0)
 AMBIENT_PA = 1.013e5

@@ -26,7 +26,7 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.rig_sim.records import RecordArray
+from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.thesis.closed_form import FREE, Motion, free_motion
 from meshpoint.units import RPM
 

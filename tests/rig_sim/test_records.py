@@ -8,8 +8,8 @@ from typing import Annotated
 
 import pytest
 
-from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.records import Record, RecordArray, Row, Vector, dtype_of
+from meshpoint.kernels.jit import piece
+from meshpoint.kernels.structures import Record, RecordArray, Row, Vector, dtype_of
 from meshpoint.rig_sim.truck.layout import Rig
 
 
@@ -28,7 +28,7 @@ class Machine(Record):
     wheels: Annotated[Row[Wheel], 2]
 
 
-@part
+@piece
 def run(machine: Machine, h: float) -> float:
     vector = machine.turning.vector
     for i in range(len(vector)):
@@ -39,7 +39,7 @@ def run(machine: Machine, h: float) -> float:
     return machine.turning.torque_nm
 
 
-@part
+@piece
 def run_all(machines: object, h: float) -> float:
     return run(machines[0], h)  # type: ignore[index]
 

@@ -10,8 +10,8 @@ from analog import edges_of_sine
 from truck_bench import SHEET, run, world
 
 from meshpoint.gearbox.gears import Sleeve
+from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir, chamber_pa_s, choked_rate
-from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import linear, nominal

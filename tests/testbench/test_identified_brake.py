@@ -11,8 +11,8 @@ import pytest
 from logged_gearbox import DELAY_S, EDGES, GAIN, SHEET, TAU_S, braked, runs
 from scipy.integrate import quad
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import Split
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
 from meshpoint.testbench.identify.brake_trajectory import (
     COUNT,

@@ -12,7 +12,7 @@ import pytest
 from logged_gearbox import EDGES as LAYSHAFT_EDGES
 from logged_gearbox import SHEET, STEP_S, TEETH, crossings, runs
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.identify import identify
 from meshpoint.testbench.identify.log_reader import LogContent, Wheel
 from meshpoint.testbench.identify.tooth_fit import ToothFit, tooth_fit, wheel_figures

@@ -13,11 +13,12 @@ from typing import Any
 import numba
 import pytest
 
-from meshpoint import kernel_cache, kernel_folder
-from meshpoint.kernel_cache import KernelCache, digest_of, keep_compiled
-from meshpoint.kernel_folder import KernelFolder
-from meshpoint.kernel_pieces import piece_of_kernels
-from meshpoint.kernel_watch import CacheWatch
+from meshpoint.kernels import cache as kernel_cache
+from meshpoint.kernels import folder as kernel_folder
+from meshpoint.kernels.cache import KernelCache, digest_of, keep_compiled
+from meshpoint.kernels.folder import KernelFolder
+from meshpoint.kernels.pieces import piece_of_kernels
+from meshpoint.kernels.watch import CacheWatch
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
 
@@ -129,8 +130,8 @@ def test_kernels_are_for_a_kind_of_processor_not_for_the_one_at_hand(
 ) -> None:
     """ "None": this machine has no such processor."""
     script = (
-        "import meshpoint.kernel_target, numba\n"
-        "print(numba.core.config.CPU_NAME, meshpoint.kernel_target.has_common())"
+        "import meshpoint.kernels.target, numba\n"
+        "print(numba.core.config.CPU_NAME, meshpoint.kernels.target.has_common())"
     )
     environment = {key: value for key, value in os.environ.items() if "NUMBA_CPU" not in key}
     found = subprocess.run(
@@ -273,7 +274,7 @@ def test_the_digest_is_the_same_in_every_process() -> None:
     script = (
         "from meshpoint.controller.estimation.crossing_kernels import crossing_filter\n"
         "from meshpoint.rig_sim.truck.kernels import advance\n"
-        "from meshpoint.kernel_cache import digest_of\n"
+        "from meshpoint.kernels.cache import digest_of\n"
         "print(digest_of(crossing_filter), digest_of(advance))"
     )
     before = "import meshpoint.controller.warm_up, meshpoint.rig_sim.presets\n"

@@ -16,9 +16,9 @@ from typing import Any
 import numba
 import pytest
 
-from meshpoint.kernel_cache import keep_compiled
-from meshpoint.kernel_folder import KernelFolder, UnusableEntryError, kernel_folders, user_cache
-from meshpoint.kernel_watch import WATCH
+from meshpoint.kernels.cache import keep_compiled
+from meshpoint.kernels.folder import KernelFolder, UnusableEntryError, kernel_folders, user_cache
+from meshpoint.kernels.watch import WATCH
 
 ROOT = Path(__file__).parents[2]
 NOBODY = 65534
@@ -42,7 +42,7 @@ def kept(folder: Path) -> KernelFolder:
 # ---------------------------------------------------------- once on a machine ----
 
 ONE_KERNEL = """
-from meshpoint.kernel_watch import WATCH
+from meshpoint.kernels.watch import WATCH
 compiled = []
 WATCH.compiling = compiled.append
 from meshpoint.rig_sim.shared import angle_kernels

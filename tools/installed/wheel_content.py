@@ -19,7 +19,7 @@ wanted = {
 }
 held = {name for name in zipfile.ZipFile(wheel).namelist() if not name.endswith("/")}
 held -= {name for name in held if name.split("/")[0].endswith(".dist-info")}
-kernels = {name for name in held if name.startswith("meshpoint/compiled/")}
+kernels = {name for name in held if name.startswith("meshpoint/kernels/compiled/")}
 held -= kernels
 
 installed = distribution("meshpoint")

@@ -25,9 +25,9 @@ from meshpoint.controller.planning.strategies.base import (
     release_for_slip,
     settle_time_us,
 )
-from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector, filled
 from meshpoint.units import SECOND_US
 
 RELEASE_AHEAD_US: Final = 300_000.0

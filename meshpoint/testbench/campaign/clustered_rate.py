@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import betainc, betaln
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.campaign.intervals import Rate
 
 MISSES: Final = np.concatenate([np.geomspace(1e-5, 0.02, 160, endpoint=False),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args, get_type_hin
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.controller.records import Integers
+from meshpoint.kernels.records import Integers
 from meshpoint.testbench.campaign.record import GAP, JudgedShift
 
 if TYPE_CHECKING:

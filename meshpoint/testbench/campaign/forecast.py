@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import MainGear
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.truck.plant import Snapshot, TruckPlant
 
 Switches = tuple[tuple[float, float], ...]

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.testbench.results.wilson import wilson
 
 FEW_RUNS: Final = 5

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from meshpoint.controller.records import Integers
+from meshpoint.kernels.records import Integers
 from meshpoint.testbench.campaign.columns import ShiftColumns, Shifts
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import RunResult

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import stdtrit
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.campaign.clustered_rate import NOMINAL, clustered_rate
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.intervals import Rate, rate_ratio_interval

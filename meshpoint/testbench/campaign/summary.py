@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.intervals import (
     FEW_RUNS,

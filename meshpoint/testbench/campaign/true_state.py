@@ -18,9 +18,9 @@ from meshpoint.controller.motion.models import LayshaftState, first_order_law
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import raw_phase_rad
+from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.world import Truth
 from meshpoint.rig_sim.thesis.sensors import Shaft

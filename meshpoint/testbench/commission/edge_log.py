@@ -12,9 +12,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.dbc.messages import EEC1, Message
 from meshpoint.gearbox.gears import MainGear, Range, Split
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.check.shafts import EDGES, INDEX_MODULUS, Shaft
 from meshpoint.testbench.results.road_speed import span_us
 

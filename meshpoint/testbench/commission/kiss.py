@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.clutch_fit import kink
 from meshpoint.units import TURN, US
 

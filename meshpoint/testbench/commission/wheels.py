@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Split
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.edge_log import EdgeLog, State, Window
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.brake_fit import BrakeFit, fit
 from meshpoint.testbench.identify.brake_trajectory import (
     BIN_S,

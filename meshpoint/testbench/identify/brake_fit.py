@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.brake_trajectory import (
     GRID_S,
     BrakeTrajectories,

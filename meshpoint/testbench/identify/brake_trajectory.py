@@ -19,9 +19,9 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Split
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.log_reader import FreeRun
 from meshpoint.units import BAR, MS, RPM, US
 

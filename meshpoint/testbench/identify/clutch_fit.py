@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.log_reader import Closing
 from meshpoint.units import US
 

@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.brake_fit import BrakeFit
 from meshpoint.testbench.identify.brake_trajectory import (
     GRID_S,

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.brake_figures import brake_figures
 from meshpoint.testbench.identify.clutch_fit import touches
 from meshpoint.testbench.identify.held_out import HeldOut, check_samples

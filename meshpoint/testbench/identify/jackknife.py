@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2, t
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 LEVEL: Final = 0.95
 

@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
@@ -32,6 +31,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.thinning import Thinned
 from meshpoint.testbench.identify.valve_switches import (
     BRAKE,

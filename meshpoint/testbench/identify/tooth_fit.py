@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.identify.brake_fit import BrakeFit, whitening
 from meshpoint.testbench.identify.brake_trajectory import (
     GRID_S,

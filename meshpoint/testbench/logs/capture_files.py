@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, Vector
 from meshpoint.gearbox.reading import UnreadableError, read_text
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.testbench.errors import CommandError
 from meshpoint.units import SECOND_US
 

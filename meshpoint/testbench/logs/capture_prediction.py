@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.testbench.logs.capture_files import FoundWheel
 from meshpoint.testbench.logs.cycle_pattern import CyclePattern
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.kernels.records import Integers, Vector
 from meshpoint.testbench.logs.capture_files import FoundWheel
 
 UNSURE: Final = -1

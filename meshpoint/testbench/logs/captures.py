@@ -11,11 +11,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.records import Integers
 from meshpoint.controller.sensing.chain_kernels import STAMPS
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.dbc.sensor_time import wrap
+from meshpoint.kernels.records import Integers
 from meshpoint.testbench.logs.capture_files import (
     GAP,
     Capture,

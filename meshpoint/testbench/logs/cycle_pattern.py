@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 
 CYCLE_DRIFT_SHARE: Final = 0.03
 """Random walk of the cycle's duration, as a share of it, over a cycle."""

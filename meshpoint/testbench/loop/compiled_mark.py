@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 from meshpoint import rig_sim, units
-from meshpoint.kernel_cache import machine
-from meshpoint.kernel_folder import (
+from meshpoint.kernels.cache import machine
+from meshpoint.kernels.folder import (
     MARK,
     KernelFolder,
     UnusableEntryError,
@@ -23,7 +23,7 @@ from meshpoint.kernel_folder import (
     shipped,
 )
 
-SHARED: Final = ("units.py", "kernel_cache.py", "kernel_pieces.py", "kernel_target.py", "gearbox")
+SHARED: Final = ("units.py", "kernels", "gearbox")
 """What the rig's kernels use of the product beside its own source."""
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import IO, Final
 
-from meshpoint.kernel_folder import KernelFolder
-from meshpoint.kernel_watch import WATCH
+from meshpoint.kernels.folder import KernelFolder
+from meshpoint.kernels.watch import WATCH
 
 SAID: Final = "! "
 """Begins a line of the rig's side that is no kernel's package but a message."""

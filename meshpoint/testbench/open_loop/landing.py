@@ -25,13 +25,13 @@ from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.kernels import GAIN
 from meshpoint.controller.motion.models import LayshaftState, MotionModel
-from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import slip_rad_s, wrap_to_pitch
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.open_loop.copies import copied
 from meshpoint.testbench.open_loop.recorded_trajectory import (
     BrakeDifference,

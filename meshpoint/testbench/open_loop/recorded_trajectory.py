@@ -21,9 +21,9 @@ from meshpoint.controller.motion.models import (
     predict_spread,
 )
 from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.records import Vector
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.kernels.records import Vector
 from meshpoint.units import US
 
 LEAST_FULL_PA: Final = 2e5

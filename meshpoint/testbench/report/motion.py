@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.layout import SLEEVE_NAME
 from meshpoint.testbench.report.phase import true_phase

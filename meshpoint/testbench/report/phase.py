@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.controller.records import Vector
+from meshpoint.kernels.records import Vector
 from meshpoint.testbench.report.collect import Points, ReportShift
 
 DEG_PER_RPM_MS: Final = 0.006

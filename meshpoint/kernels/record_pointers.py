@@ -1,6 +1,6 @@
 """Records for compiled kernels: pointers that the compiler knows the layout of.
 
-Loads numba: `meshpoint.controller.jit` has the same two for plain Python.
+Loads numba: `meshpoint.kernels.jit` has the same two for plain Python.
 """
 
 # numba is typed only in part.
@@ -14,7 +14,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from meshpoint.controller.records import WORD_BYTES
+from meshpoint.kernels.records import WORD_BYTES
 
 
 @intrinsic

@@ -20,7 +20,7 @@ from numba.core.compiler_lock import require_global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
 
-import meshpoint.kernel_target  # noqa: F401  # before the first piece
+import meshpoint.kernels.target  # noqa: F401  # before the first piece
 
 _INNER: Final = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Nobody calls a piece from outside compiled code, and the two doors for that take a seventh of the

@@ -1,8 +1,12 @@
 """numba's compiler for the kernels, or none: with NUMBA_DISABLE_JIT=1 numba is not even loaded.
 
-`compiled` and `bare` make an entry point, kept on disk (`meshpoint.kernel_cache`); `inlined` a
-piece of one, copied to where it is called. `record_on` and `new_record` give a kernel a record: by
-a pointer, while `view` and `zeros` are compiled anew for each layout.
+    compiled    an entry point, kept on disk (`meshpoint.kernels.cache`)
+    bare        one that neither makes nor keeps an array
+    piece       compiled into the entry points that call it
+    inlined     a piece that is copied to where it is called
+
+`record_on` and `new_record` give a kernel a record of `meshpoint.kernels.records`: by a pointer,
+while `view` and `zeros` are compiled anew for each layout.
 """
 
 from __future__ import annotations
@@ -11,15 +15,16 @@ import os
 from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
-from meshpoint.controller.records import WORD_BYTES, Layout, Vector
+from meshpoint.kernels.records import WORD_BYTES, Layout, Vector
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+"""Loading numba is a third of the start-up."""
 
 BARE: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
-"""Without numba's runtime, whose atomic counting of references takes longer than a small piece of
-work: for kernels that neither make nor keep an array."""
+"""Without numba's runtime, which counts references to arrays: the counting, atomic as it is, takes
+longer than a small piece of work."""
 
 
 def compiled(function: Kernel) -> Kernel:
@@ -32,23 +37,31 @@ def bare(function: Kernel) -> Kernel:
     return _entry(function, BARE)
 
 
+def piece(function: Kernel) -> Kernel:
+    """A piece of a kernel that makes no array of its own."""
+    return _piece(function, BARE)
+
+
 def inlined(function: Kernel) -> Kernel:
-    """A piece of a kernel that makes no array of its own, copied to where it is called: a call
-    hands over each array as seven words."""
+    """A piece that is copied to where it is called: a call hands over each array as seven words,
+    which costs a small piece with many arrays more than its work."""
+    return _piece(function, {"forceinline": True, **BARE})
+
+
+def _piece(function: Kernel, options: dict[str, Any]) -> Kernel:
     if DISABLED:
         return function
-    from meshpoint.kernel_pieces import piece_of_kernels
+    from meshpoint.kernels.pieces import piece_of_kernels
 
-    return cast(Kernel, piece_of_kernels(function, forceinline=True, **BARE))
+    return cast(Kernel, piece_of_kernels(function, **options))
 
 
 def _entry(function: Kernel, options: dict[str, Any]) -> Kernel:
     if DISABLED:
         return function
-    # Loading it is a third of the start-up, so only where it is needed.
     from numba import njit
 
-    from meshpoint.kernel_cache import keep_compiled
+    from meshpoint.kernels.cache import keep_compiled
 
     kernel = njit(**options)(function)
     keep_compiled(kernel)
@@ -75,6 +88,6 @@ new_record: Any
 if DISABLED:
     record_on, new_record = _record_on, _new_record
 else:
-    from meshpoint.controller import record_pointers
+    from meshpoint.kernels import record_pointers
 
     record_on, new_record = record_pointers.record_on, record_pointers.new_record

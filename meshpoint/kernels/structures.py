@@ -40,7 +40,7 @@ from typing import (
 import numpy as np
 import numpy.typing as npt
 
-from meshpoint.rig_sim.jit import DISABLED
+from meshpoint.kernels.jit import DISABLED
 
 Value = TypeVar("Value")
 Floats = npt.NDArray[np.float64]

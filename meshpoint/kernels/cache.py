@@ -5,7 +5,7 @@ numba's own cache looks at the file of the cached function alone, so a change in
 another file would go unseen, and one damaged index ends every command. Here the name of an entry
 holds a digest of the function, of every piece and constant that it refers to, of its signature and
 of what else decides on machine code (`MACHINE_CODE`). Where entries lie, and which are taken:
-`meshpoint.kernel_folder`. What is not taken is compiled again, and said in one line.
+`meshpoint.kernels.folder`. What is not taken is compiled again, and said in one line.
 
 Loads numba: only where kernels are compiled at all.
 """
@@ -33,15 +33,15 @@ from numba.core.extending import _Intrinsic
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
-from meshpoint.kernel_folder import (
+from meshpoint.kernels.folder import (
     ENTRY,
     KernelFolder,
     UnusableEntryError,
     kernel_folders,
     shipped,
 )
-from meshpoint.kernel_target import LEVEL
-from meshpoint.kernel_watch import WATCH
+from meshpoint.kernels.target import LEVEL
+from meshpoint.kernels.watch import WATCH
 
 STABLE_MODULES: Final = frozenset({"math", "cmath", "operator", "numpy", "numba"})
 """Modules that change with their version alone."""

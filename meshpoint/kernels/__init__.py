@@ -1,0 +1,1 @@
+"""The compiled kernels of both nodes: how they are compiled, kept on disk, and given records."""
