@@ -28,9 +28,10 @@ from benchmarks.studies.bound_scene import (
     draw_wheel,
 )
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
-from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
+from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
+from meshpoint.controller.estimation.figure import Estimate
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.touch_and_lag import uncorrelated
@@ -187,7 +188,7 @@ class _Bench:
         known.touch_and_lag = uncorrelated((known.touch_pa.value, known.touch_pa.sd), NO_LAG)
         self._known = known
         if parameters_known:
-            known.gain, known.drag_nm = Carried(1.0, 0.0), Carried(0.0, 0.0)
+            known.gain, known.drag_nm = Estimate(1.0, 0.0), Estimate(0.0, 0.0)
             known.touch_and_lag = uncorrelated((0.0, 1.0), NO_LAG)
         self._learns = not parameters_known
         self.tracker: LayshaftTracker

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy as np
 from meshpoint.controller.calibration.learned import BrakeRecord
 from meshpoint.controller.estimation.brake_kernels import pressure_trajectory
 from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.figure import Estimate
 from meshpoint.controller.estimation.touch_and_lag import TouchAndLag, uncorrelated
 from meshpoint.controller.motion.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.motion.models import MotionModel
@@ -62,14 +62,6 @@ stated."""
 TOUCH_SD_PA: Final = 0.15e5
 
 
-@dataclass
-class Carried:
-    """A figure carried from shift to shift, with its standard deviation."""
-
-    value: float
-    sd: float
-
-
 def above_touch(samples: PressureSamples, touch_pa: float, lag_s: float) -> Pressures:
     """The pressure above that at which the pads touch, in front of the sensor's lag."""
     time_us, pressure_pa = samples.before_the_lag(lag_s)
@@ -82,8 +74,8 @@ class BrakeModel:
     def __init__(self, sheet: GearboxSheet, gain_sd: float, drag_sd_nm: float) -> None:
         self._rate = 1.0 / sheet.brake.time_constant_s
         self.supply_pa = sheet.air.supply_gauge_pa
-        self.gain = Carried(1.0, gain_sd)
-        self.drag_nm = Carried(0.0, drag_sd_nm)
+        self.gain = Estimate(1.0, gain_sd)
+        self.drag_nm = Estimate(0.0, drag_sd_nm)
         lag_s = sheet.air.sensor_lag_s
         self.touch_and_lag = uncorrelated((0.0, TOUCH_SD_PA), (lag_s, LAG_TOLERANCE * lag_s))
         delay = sheet.brake.valve_delay_s
@@ -97,23 +89,23 @@ class BrakeModel:
         """From how many shifts the law was learned."""
 
     @property
-    def touch_pa(self) -> Carried:
+    def touch_pa(self) -> Estimate:
         """Gauge pressure at which the pads touch."""
         known = self.touch_and_lag
-        return Carried(float(known.mean[0]), float(known.sd[0]))
+        return Estimate(float(known.mean[0]), float(known.sd[0]))
 
     @property
-    def sensor_lag_s(self) -> Carried:
+    def sensor_lag_s(self) -> Estimate:
         """By how much the measured pressure comes late; a sheet without a lag leaves none to be
         learned."""
         known = self.touch_and_lag
-        return Carried(float(known.mean[1]), float(known.sd[1]))
+        return Estimate(float(known.mean[1]), float(known.sd[1]))
 
     def carry(self, x: Vector, p: Vector, inertia_kgm2: float) -> None:
         """Gain and drag as the filter's state (STATES,) and covariance at the end of a run say."""
         sd = np.sqrt(np.maximum(np.diag(p), 0.0))
-        self.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
-        self.drag_nm = Carried(float(x[DRAG]) * inertia_kgm2, float(sd[DRAG]) * inertia_kgm2)
+        self.gain = Estimate(float(x[GAIN]), float(sd[GAIN]))
+        self.drag_nm = Estimate(float(x[DRAG]) * inertia_kgm2, float(sd[DRAG]) * inertia_kgm2)
 
     def take_touch_and_lag(self, found: TouchAndLag) -> None:
         """What is known of both from now on. The valve's delays were found from pressures that came
@@ -157,8 +149,8 @@ class BrakeModel:
     def restore(self, record: BrakeRecord) -> None:
         """Starts from a record; correlations between its errors are not stored."""
         self.shifts = record.shifts
-        self.gain = Carried(record.gain, record.gain_sd)
-        self.drag_nm = Carried(record.drag_nm, record.drag_sd_nm)
+        self.gain = Estimate(record.gain, record.gain_sd)
+        self.drag_nm = Estimate(record.drag_nm, record.drag_sd_nm)
         self.touch_and_lag = uncorrelated(
             (record.touch_pa, record.touch_sd_pa), (record.sensor_lag_s, record.sensor_lag_sd_s)
         )

@@ -20,9 +20,10 @@ import numpy as np
 
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
+from meshpoint.controller.estimation.figure import prior
 from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeMotion, FreeRun
 from meshpoint.controller.estimation.layshaft import LayshaftModels
-from meshpoint.controller.estimation.likelihood import Search, prior, restored
+from meshpoint.controller.estimation.likelihood import Search
 from meshpoint.controller.estimation.wheel_tracker import (
     NOISE_ADAPTATION,
     STRUCK_RAD_S,
@@ -164,12 +165,12 @@ class CrossingTracker(WheelTracker):
     def take_noise(self, shifts: int, *known: tuple[float, float]) -> None:
         """Sets what earlier runs learned of `noise`: value and standard deviation of each."""
         self.noise_shifts = shifts
-        self.noise = [restored(one, *given) for one, given in zip(self.noise, known, strict=True)]
+        self.noise = [one.restored(*given) for one, given in zip(self.noise, known, strict=True)]
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)
 
     def take_friction(self, value_nms: float, sd: float) -> None:
         """Sets the viscous friction as earlier runs learned it; sd: of its logarithm."""
-        self.friction = restored(self.friction, value_nms, sd)
+        self.friction = self.friction.restored(value_nms, sd)
 
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step or the brake's law is new."""

@@ -16,8 +16,9 @@ import numpy as np
 
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.figure import Figure, prior
 from meshpoint.controller.estimation.lash import LashFigures
-from meshpoint.controller.estimation.likelihood import Learned, Search, prior, restored
+from meshpoint.controller.estimation.likelihood import Search
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion
 from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY
@@ -105,8 +106,8 @@ class DrivelineSwing:
             hill.value,
             hill.sd,
             has_lash,
-            math.exp(lash.half_log),
-            lash.half_sd,
+            lash.half.value,
+            lash.half.sd,
         )
 
     def restore(self, record: SwingRecord) -> None:
@@ -122,9 +123,9 @@ class DrivelineSwing:
         for kind, (values, sds) in enumerate(given):
             for m in range(MODES):
                 k = OF_A_MODE * m + kind
-                figures[k] = restored(figures[k], values[m], sds[m])
-        figures[WHITE] = restored(figures[WHITE], record.noise_rad2_s3[-1], record.noise_sd[-1])
-        figures[HILL] = restored(figures[HILL], record.hill_rad_s2, record.hill_sd)
+                figures[k] = figures[k].restored(values[m], sds[m])
+        figures[WHITE] = figures[WHITE].restored(record.noise_rad2_s3[-1], record.noise_sd[-1])
+        figures[HILL] = figures[HILL].restored(record.hill_rad_s2, record.hill_sd)
         self._figures = figures
         self.motion = self._doubting()
 
@@ -162,7 +163,7 @@ class DrivelineSwing:
             i = FIRST_MODE + 2 * m
             p[i, i], p[i + 1, i + 1] = (speed / natural) ** 2, speed * speed
 
-    def search(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> Search:
+    def search(self, window: MainWindow, edge_time: Figure, teeth_known: bool) -> Search:
         """Looks for the figures in a window, and for an edge's time where the teeth are known."""
         none, switches = Pressures(np.empty(0), np.empty(0)), np.empty((2, 0))
         run, count = CrossingFilter(self._tuning, MAIN_FILTER), window.edges.shape[1]
@@ -178,7 +179,7 @@ class DrivelineSwing:
         held = () if teeth_known else (EDGE_TIME,)
         return Search([*self._figures, edge_time], deviance, (NATURAL,), held)
 
-    def take(self, found: Sequence[Learned]) -> Learned:
+    def take(self, found: Sequence[Figure]) -> Figure:
         """Takes over what was found in one more window; returns what is known of an edge's time."""
         self._figures = list(found[:EDGE_TIME])
         self.motion = self._doubting()
@@ -186,7 +187,7 @@ class DrivelineSwing:
         return found[EDGE_TIME]
 
 
-def _parts(figures: tuple[Learned, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _parts(figures: tuple[Figure, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(one.value for one in figures), tuple(one.sd for one in figures)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from meshpoint.controller.estimation.brake_model import BrakeModel, above_touch
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimation.likelihood import Learned, Search, learn
+from meshpoint.controller.estimation.figure import Figure
+from meshpoint.controller.estimation.likelihood import Search, learn
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.touch_and_lag import best_of
 from meshpoint.controller.motion.kernels import DISTURBANCE, DRAG, GAIN
@@ -91,7 +92,7 @@ class FreeRun:
             brake.take_touch_and_lag(found)
             brake.carry(end.x, end.p, inertia)
 
-    def search_noise(self, known: list[Learned], brake: BrakeModel, motion: FreeMotion) -> Search:
+    def search_noise(self, known: list[Figure], brake: BrakeModel, motion: FreeMotion) -> Search:
         """Looks for an edge's time and for the disturbance's torque and memory in this run. An
         edge's time cannot be distinguished from tooth errors that are not known: it stays then."""
         inertia = motion.inertia_kgm2
@@ -110,8 +111,8 @@ class FreeRun:
         return Search(known, deviance, held=() if motion.teeth.learned else (EDGE_TIME,))
 
     def learn_friction(
-        self, known: Learned, steady_rad_s: float, brake: BrakeModel, motion: FreeMotion
-    ) -> Learned:
+        self, known: Figure, steady_rad_s: float, brake: BrakeModel, motion: FreeMotion
+    ) -> Figure:
         """What is known of the viscous friction (Nms) after this run, by which the drag falls with
         the speed; updates gain and drag with what the run then says of them.
 

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.estimation.figure import Figure
 from meshpoint.controller.estimation.halton import even, normal
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
 from meshpoint.controller.motion.lash_motion import (
@@ -58,6 +59,8 @@ SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
 """What one window says of stiffness, loss, backlash and drag counts as no surer than this, in
 their logarithms: a shaft that met no flank shows little, and its cloud does not know how
 little."""
+WITHIN: Final = 2.0
+"""They stay within this many standard deviations of the sheet's values."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
 
@@ -100,25 +103,22 @@ class VehicleTrajectory(NamedTuple):
 
 
 class LashFigures(NamedTuple):
-    """What is known of a driveline in one step of the range, at the main shaft: logarithms with
-    their standard deviations."""
+    """What is known of a driveline in one step of the range, at the main shaft."""
 
-    stiff_log: float
-    """Logarithm of the shafts' stiffness over the main shaft's inertia (1/s2)."""
-    stiff_sd: float
-    """Its standard deviation."""
-    loss_log: float
-    """Logarithm of the loss at a flank (s/rad)."""
-    loss_sd: float
-    """Its standard deviation."""
-    half_log: float
-    """Logarithm of half of the backlash (rad)."""
-    half_sd: float
-    """Its standard deviation."""
-    drag_log: float
-    """Logarithm of the drag's acceleration (rad/s2)."""
-    drag_sd: float
-    """Its standard deviation."""
+    stiff: Figure
+    """The shafts' stiffness over the main shaft's inertia (1/s2)."""
+    loss: Figure
+    """The loss at a flank (s/rad)."""
+    half: Figure
+    """Half of the backlash (rad)."""
+    drag: Figure
+    """The drag's acceleration (rad/s2)."""
+
+
+def _figure(value: float, sd: float) -> Figure:
+    """By the data sheet, with the deviation of its logarithm."""
+    log = math.log(value)
+    return Figure(log, sd, log - WITHIN * sd, log + WITHIN * sd, sd, LEAST_SHARE_SD * sd)
 
 
 class Lash:
@@ -130,22 +130,16 @@ class Lash:
         turned = axle.main_kgm2 + axle.propeller_kgm2 * ratio * ratio
         self._turned_kgm2 = turned
         drag = (axle.pinion_nm * ratio + axle.loose_nm) / turned
-        self.prior = LashFigures(
-            math.log(axle.shaft_nm_rad * ratio * ratio / turned),
-            axle.shaft_tolerance,
-            math.log(axle.flank_loss_s_rad * ratio),
-            math.log(axle.flank_loss_factor),
-            math.log(0.5 * backlash_rad / ratio),
-            math.log(factor) / math.sqrt(3.0),
-            math.log(drag),
-            axle.pinion_tolerance / math.sqrt(3.0),
+        self.known = LashFigures(
+            _figure(axle.shaft_nm_rad * ratio * ratio / turned, axle.shaft_tolerance),
+            _figure(axle.flank_loss_s_rad * ratio, math.log(axle.flank_loss_factor)),
+            _figure(0.5 * backlash_rad / ratio, math.log(factor) / math.sqrt(3.0)),
+            _figure(drag, axle.pinion_tolerance / math.sqrt(3.0)),
         )
-        self.known = self.prior
 
     def restore(self, half_rad: float, half_sd: float) -> None:
         """Starts from the half backlash that an earlier run learned."""
-        sd = min(self.prior.half_sd, max(LEAST_SHARE_SD * self.prior.half_sd, half_sd))
-        self.known = self.known._replace(half_log=math.log(half_rad), half_sd=sd)
+        self.known = self.known._replace(half=self.known.half.restored(half_rad, half_sd))
 
     def model(self, speed_rad_s: float) -> LashModel:
         """What is taken as known, at a speed of the main shaft."""
@@ -159,8 +153,8 @@ class Lash:
     @property
     def shafts(self) -> Shafts:
         """Stiffness and backlash as known, at the propeller shaft."""
-        stiff = math.exp(self.known.stiff_log) * self._turned_kgm2 / (self.ratio * self.ratio)
-        return Shafts(stiff, math.exp(self.known.half_log) * self.ratio)
+        stiff = self.known.stiff.value * self._turned_kgm2 / (self.ratio * self.ratio)
+        return Shafts(stiff, self.known.half.value * self.ratio)
 
     @property
     def chance(self) -> Chance:
@@ -174,15 +168,15 @@ class Lash:
         known, axle, sure = self.known, self.axle, normal(DRIVELINES)
         x = np.empty((ROWS, DRIVELINES))
         x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
-        x[HALF] = np.exp(known.half_log + known.half_sd * sure[0])
+        x[HALF] = np.exp(known.half.log + known.half.sd * sure[0])
         root = np.diag(self.vehicle_sds) if start.vehicle_root is None else start.vehicle_root
         off_speed, off_hill = root @ sure[2:4]
         x[VEHICLE], x[HILL] = start.vehicle_rad_s + off_speed, start.hill_rad_s2 + off_hill
         x[WHEELS] = x[VEHICLE] + axle.wheels_start_rad_s * sure[4]
         x[TYRE] = axle.wheels_start_rad_s / math.sqrt(self._tyre_per_s2) * sure[5]
-        x[STIFF] = np.exp(known.stiff_log + known.stiff_sd * sure[6])
-        x[LOSS] = np.exp(known.loss_log + known.loss_sd * sure[7])
-        x[DRAG] = np.maximum(np.exp(known.drag_log + known.drag_sd * sure[8]), LEAST_DRAG)
+        x[STIFF] = np.exp(known.stiff.log + known.stiff.sd * sure[6])
+        x[LOSS] = np.exp(known.loss.log + known.loss.sd * sure[7])
+        x[DRAG] = np.maximum(np.exp(known.drag.log + known.drag.sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
         self._press(x, start.pressed_nm)
         if start.behind is not None:
@@ -231,15 +225,12 @@ class Lash:
     def learn(self, shown: Callable[[int], tuple[float, float]]) -> None:
         """Takes over what a window has shown: mean and standard deviation of the logarithm of a row
         of its cloud."""
-        learned: list[float] = []
-        for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
+        learned = []
+        for figure, row, least_sd in zip(
+            self.known, (STIFF, LOSS, HALF, DRAG), SEEN_SDS, strict=True
+        ):
             log, sd = shown(row)
             if not (math.isfinite(log) and math.isfinite(sd)):
                 return
-            middle, most = self.prior[2 * k : 2 * k + 2]
-            before, before_sd = self.known[2 * k : 2 * k + 2]
-            gain = before_sd**2 / (before_sd**2 + max(sd, SEEN_SDS[k]) ** 2)
-            after = before + gain * (log - before)
-            after_sd = max(before_sd * math.sqrt(1.0 - gain), LEAST_SHARE_SD * most)
-            learned += [min(max(after, middle - 2.0 * most), middle + 2.0 * most), after_sd]
+            learned.append(figure.after(log, max(sd, least_sd)))
         self.known = LashFigures(*learned)

@@ -12,8 +12,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
+
+from meshpoint.controller.estimation.figure import Figure
 
 Deviance = Callable[[Sequence[float]], float]
 """Sum of squared innovations over their variances and of their logarithms, with these figures'
@@ -31,46 +33,14 @@ GROWTH: Final = 1.1
 """Variances grow by this from shift to shift: temperatures, loads and roads change."""
 
 
-@dataclass(frozen=True)
-class Learned:
-    """A positive figure: the mean and standard deviation of its logarithm, and of that what was
-    known before anything was learned."""
-
-    log: float
-    sd: float
-    least_log: float
-    most_log: float
-    prior_sd: float
-    least_sd: float
-    """It is never known better than this: a few shifts do not tell what the next will be like."""
-
-    @property
-    def value(self) -> float:
-        """The figure itself."""
-        return math.exp(self.log)
-
-
-def prior(typical: float, factor: float, range_: tuple[float, float], least_sd: float) -> Learned:
-    """A figure that lies within `factor` of a typical one, one standard deviation, and always in
-    its range."""
-    sd = math.log(factor)
-    return Learned(math.log(typical), sd, math.log(range_[0]), math.log(range_[1]), sd, least_sd)
-
-
 class Found(NamedTuple):
     """Figures, and their deviance to what they were learned from."""
 
-    figures: list[Learned]
+    figures: list[Figure]
     deviance: float
 
 
-def restored(known: Learned, value: float, sd: float) -> Learned:
-    """A figure as an earlier run learned it; within its range, and no surer than it may be."""
-    log = min(max(math.log(value), known.least_log), known.most_log)
-    return replace(known, log=log, sd=min(max(sd, known.least_sd), known.prior_sd))
-
-
-def learn(known: Sequence[Learned], deviance: Deviance, scanned: Sequence[int] = ()) -> Found:
+def learn(known: Sequence[Figure], deviance: Deviance, scanned: Sequence[int] = ()) -> Found:
     """The figures after one more shift, and their deviance: `Search`, all of it at once."""
     search = Search(known, deviance, scanned)
     while not search.is_over:
@@ -96,7 +66,7 @@ class Search:
 
     def __init__(
         self,
-        known: Sequence[Learned],
+        known: Sequence[Figure],
         deviance: Deviance,
         scanned: Sequence[int] = (),
         held: Sequence[int] = (),
@@ -207,14 +177,14 @@ class Search:
             self._at, self._least = tried, now
 
 
-def _spacing(one: Learned) -> tuple[int, float]:
+def _spacing(one: Figure) -> tuple[int, float]:
     """How many steps a figure's range is looked at in, and how long one is."""
     span = one.most_log - one.least_log
     count = min(MOST_SCANNED, math.ceil(span / SCAN_STEP))
     return count, span / count
 
 
-def _grid(one: Learned) -> list[float]:
+def _grid(one: Figure) -> list[float]:
     count, step = _spacing(one)
     return [one.least_log + i * step for i in range(count + 1)]
 

@@ -23,11 +23,12 @@ from meshpoint.controller.estimation.driveline_swing import (
     EdgeRun,
     MainWindow,
 )
+from meshpoint.controller.estimation.figure import prior
 from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_cloud import LashCloud
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
 from meshpoint.controller.estimation.lash_start import StartWatch
-from meshpoint.controller.estimation.likelihood import Search, prior, restored
+from meshpoint.controller.estimation.likelihood import Search
 from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline, Shafts
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.wheel_tracker import (
@@ -151,7 +152,7 @@ class MainTracker(WheelTracker):
 
     def take_edge_time(self, value_s: float, sd: float) -> None:
         """Sets what an earlier run learned of an edge's time."""
-        self.edge_time = restored(self.edge_time, value_s, sd)
+        self.edge_time = self.edge_time.restored(value_s, sd)
         self._filter.set_edge_time(self.edge_time.value)
 
     @property

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.estimation.figure import Estimate
 from meshpoint.controller.sleeve.cylinder import DETENT, DETENT_UNIT_N, OFF, ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
@@ -19,27 +20,20 @@ ABOUT_PA: Final = 0.5 * BAR
 """By so much more and less air it is seen what a bar does to the delay."""
 
 
-class Known(NamedTuple):
-    """A figure."""
-
-    value: float
-    sd: float
-
-
 class LawFigures(NamedTuple):
     """Of a sleeve on its way to one gear, at the data sheet's supply pressure."""
 
     movements: int
     """From how many movements of the sleeve the law was learned."""
-    on_delay_s: Known
+    on_delay_s: Estimate
     """Of the valve that pushes there: from its current to its spool's movement."""
-    off_delay_s: Known
-    contact_s: Known
+    off_delay_s: Estimate
+    contact_s: Estimate
     """From the valve's current to contact, from neutral."""
-    contact_s_per_pa: Known
+    contact_s_per_pa: Estimate
     """By how much that grows with the supply pressure."""
-    detent_n: Known
-    stopping_m: Known | None
+    detent_n: Estimate
+    stopping_m: Estimate | None
     """How far a sleeve still goes that is stopped as late as it can be; None where it cannot."""
 
 
@@ -47,8 +41,8 @@ def law_figures(sleeve: DrivenSleeve, direction: int, movements: int) -> LawFigu
     """Of a sleeve that rests in neutral."""
     valve, (mean, covariance) = valve_towards(direction), sleeve.known
 
-    def of(place: int, unit: float = 1.0) -> Known:
-        return Known(unit * float(mean[place]), unit * math.sqrt(covariance[place, place]))
+    def of(place: int, unit: float = 1.0) -> Estimate:
+        return Estimate(unit * float(mean[place]), unit * math.sqrt(covariance[place, place]))
 
     fired, sheet_pa = [Switch(0, valve, True)], sleeve.law.sheet_pa
     sleeve.supply_pa = sheet_pa
@@ -68,8 +62,8 @@ def law_figures(sleeve: DrivenSleeve, direction: int, movements: int) -> LawFigu
         movements,
         of(ON + valve),
         of(OFF + valve),
-        Known(contact_us * US, contact_sd_s(sleeve, direction, fired, contact_us)),
-        Known(by_air, sleeve.sd(by_air_s_per_pa, fired, by_air)),
+        Estimate(contact_us * US, contact_sd_s(sleeve, direction, fired, contact_us)),
+        Estimate(by_air, sleeve.sd(by_air_s_per_pa, fired, by_air)),
         of(DETENT, DETENT_UNIT_N),
-        None if stops is None else Known(*stops),
+        None if stops is None else Estimate(*stops),
     )

@@ -10,13 +10,16 @@
 Neither changes a result. Loads numba, and has to be loaded before numba's code generator is.
 """
 
+# numba is typed only in part.
+# mypy: disable-error-code="no-untyped-call"
+
 from __future__ import annotations
 
 import os
 from typing import Any, Final
 
 import numba
-from llvmlite.binding import get_host_cpu_features
+from numba.core.codegen import get_host_cpu_features
 
 COMMON: Final = "x86-64-v3"
 """The level of x86-64 that one set of kernels is compiled for."""
@@ -29,8 +32,8 @@ NEEDED: Final = (
 
 def has_common() -> bool:
     """Whether this machine's processor is of that level."""
-    found = get_host_cpu_features()
-    return all(found.get(name) for name in NEEDED)
+    found = get_host_cpu_features().split(",")
+    return all(f"+{name}" in found for name in NEEDED)
 
 
 if not {"NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"} & set(os.environ) and has_common():

@@ -165,7 +165,8 @@ def test_pads_that_touch_at_a_pressure_brake_later_and_by_as_much_less(touch_pa:
 
 def test_a_restored_brake_is_the_one_that_was_kept() -> None:
     model = learned()
-    model.gain.value, model.drag_nm.sd = 1.07, 0.3
+    model.gain = model.gain._replace(value=1.07)
+    model.drag_nm = model.drag_nm._replace(sd=0.3)
     record = model.record()
     assert record is not None
     other = fresh()

@@ -57,12 +57,11 @@ def test_a_driveline_s_figures_are_the_sheet_s_as_felt_at_the_main_shaft() -> No
     """A torque at the propeller shaft is i times that at the main shaft, an angle 1 / i of it; an
     even law between two limits has their half distance over the root of 3."""
     lash = a_lash()
-    means = [math.exp(log) for log in lash.prior[::2]]
-    assert means == pytest.approx([
+    assert [figure.value for figure in lash.known] == pytest.approx([
         AXLE.shaft_nm_rad * RATIO**2 / TURNED_KGM2, AXLE.flank_loss_s_rad * RATIO,
         BACKLASH_RAD / 2.0 / RATIO, (AXLE.pinion_nm * RATIO + AXLE.loose_nm) / TURNED_KGM2,
     ])  # fmt: skip
-    assert lash.prior[1::2] == pytest.approx(
+    assert [figure.sd for figure in lash.known] == pytest.approx(
         (AXLE.shaft_tolerance, math.log(AXLE.flank_loss_factor),
          math.log(FACTOR) / 3**0.5, AXLE.pinion_tolerance / 3**0.5)
     )  # fmt: skip
@@ -84,8 +83,8 @@ def test_a_first_cloud_scatters_as_what_is_not_known_each_figure_by_itself() -> 
     logs = [np.log(plain[row]) for row in (STIFF, LOSS, HALF)]
     tyre = math.log(AXLE.tyre_nm_rad / AXLE.wheels_kgm2)
     rows = [*logs, np.log(plain[TYRE_STIFF]), plain[VEHICLE], plain[HILL]]
-    means = [*lash.prior[:6:2], tyre, 60.0, -2.0]
-    sds = [*lash.prior[1:6:2], AXLE.tyre_tolerance, *lash.vehicle_sds]
+    means = [*(figure.log for figure in lash.known[:3]), tyre, 60.0, -2.0]
+    sds = [*(figure.sd for figure in lash.known[:3]), AXLE.tyre_tolerance, *lash.vehicle_sds]
     for row, mean, sd in zip(rows, means, sds, strict=True):
         assert row.mean() == pytest.approx(mean, abs=0.02 * sd)
         assert row.std() == pytest.approx(sd, rel=0.01)
@@ -124,23 +123,23 @@ def test_what_windows_tell_of_a_figure_is_learned_as_by_bayes_within_the_sheet(
     """Two normal laws' product; no surer than a window can be, within two deviations of the
     sheet's."""
     lash = a_lash()
-    reported = {row: (lash.prior[2 * j], sd) for j, row in enumerate(FIGURES)}
-    middle, most = lash.prior[2 * k : 2 * k + 2]
+    reported = {row: (lash.known[j].log, sd) for j, row in enumerate(FIGURES)}
+    middle, most = lash.known[k].log, lash.known[k].sd
     reported[FIGURES[k]] = (middle + by, sd)
     lash.learn(reported.__getitem__)
     weights = most**-2, max(sd, SEEN_SDS[k]) ** -2
     mean = middle + by * weights[1] / sum(weights)
-    assert lash.known[2 * k] == pytest.approx(
+    assert lash.known[k].log == pytest.approx(
         min(max(mean, middle - 2.0 * most), middle + 2.0 * most)
     )
-    assert lash.known[2 * k + 1] == pytest.approx(max(sum(weights) ** -0.5, LEAST_SHARE_SD * most))
+    assert lash.known[k].sd == pytest.approx(max(sum(weights) ** -0.5, LEAST_SHARE_SD * most))
 
 
 @pytest.mark.parametrize("figure", [(math.nan, 0.1), (1.0, math.nan), (math.inf, 0.1)])
 def test_a_figure_that_is_no_number_teaches_nothing(figure: tuple[float, float]) -> None:
     lash = a_lash()
     lash.learn(lambda row: figure)
-    assert lash.known == lash.prior
+    assert lash.known == a_lash().known
 
 
 def conditioned(waits: Vector, angles: Vector) -> tuple[Vector, Vector]:

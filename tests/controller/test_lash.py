@@ -210,10 +210,11 @@ def test_a_cloud_that_has_lost_the_driveline_finds_it_again() -> None:
 
 def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
     lash = a_lash()
-    half = 1.6 * math.exp(lash.known.half_log)
+    before = lash.known.half
+    half = 1.6 * before.value
     for slip in (3.0, -4.0, 3.5, -3.0):
         x = a_driveline(slip)
-        x[HALF], x[STIFF], x[DRAG], x[HILL] = half, math.exp(lash.known.stiff_log), 9.0, 0.0
+        x[HALF], x[STIFF], x[DRAG], x[HILL] = half, lash.known.stiff.value, 9.0, 0.0
         x[WAY] = half * (1.0 - math.copysign(0.98, slip))
         angle = trajectory_of(x, lash.model(60.0), 1e-3, 300)
         passed = EDGE_RAD / 2.0 * np.arange(1, int(angle[-1] / EDGE_RAD * 2.0))
@@ -221,9 +222,9 @@ def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
         cloud = LashCloud(lash, LashStart(0.0, 0.0, float(x[SPEED, 0]), 60.0), 1e-6)
         cloud.take(edges, 1e-3)
         lash.learn(cloud.log_figure)
-    reported = (lash.known.half_log - lash.prior.half_log) / math.log(1.6)
+    reported = (lash.known.half.log - before.log) / math.log(1.6)
     assert 0.2 < reported < 1.6
-    assert 0.3 * lash.prior.half_sd < lash.known.half_sd < lash.prior.half_sd
+    assert 0.3 * before.sd < lash.known.half.sd < before.sd
     assert len(SEEN_SDS) == 4
 
 

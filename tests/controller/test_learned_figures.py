@@ -15,6 +15,7 @@ from meshpoint.controller.estimation.driveline_swing import (
     DrivelineSwing,
     EdgeRun,
 )
+from meshpoint.controller.estimation.figure import Figure, prior
 from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_rivals import (
     EACH_US,
@@ -22,7 +23,7 @@ from meshpoint.controller.estimation.lash_rivals import (
     LashRivals,
     Prediction,
 )
-from meshpoint.controller.estimation.likelihood import GROWTH, Learned, learn, prior, restored
+from meshpoint.controller.estimation.likelihood import GROWTH, learn
 from meshpoint.controller.motion.swing_kernels import FIRST_MODE, STEADY, SWING_STATES
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
@@ -45,7 +46,7 @@ def test_a_figure_lies_within_its_factor_of_a_typical_one() -> None:
         (30.0, 1e-4, 30.0, 0.01),
         (30.0, 9.0, 30.0, math.log(2.0)),
     ):
-        found = restored(one, value, sd)
+        found = one.restored(value, sd)
         assert found.value == pytest.approx(kept)
         assert found.sd == pytest.approx(kept_sd)
 
@@ -58,7 +59,7 @@ def seen_at(log: float, sd: float, k: int = 0) -> Deviance:
 @pytest.mark.parametrize(("at", "sd"), [(0.3, 0.2), (-0.1, 0.05), (0.2, 1.0)])
 def test_a_shift_and_what_was_known_are_weighed_by_their_variances(at: float, sd: float) -> None:
     """What was known has become a little less sure in between."""
-    known = Learned(0.1, 0.25, -3.0, 3.0, 0.6, 0.001)
+    known = Figure(0.1, 0.25, -3.0, 3.0, 0.6, 0.001)
     (found,), deviance = learn([known], seen_at(at, sd))
     grown = GROWTH * known.sd**2
     weight = 1.0 / grown + 1.0 / sd**2
@@ -69,7 +70,7 @@ def test_a_shift_and_what_was_known_are_weighed_by_their_variances(at: float, sd
 
 
 def test_many_shifts_make_a_figure_no_surer_than_it_may_be_and_none_as_unsure_as_at_first() -> None:
-    known = Learned(0.0, 0.5, -3.0, 3.0, 0.5, 0.04)
+    known = Figure(0.0, 0.5, -3.0, 3.0, 0.5, 0.04)
     for _ in range(12):
         (known,), _ = learn([known], seen_at(0.4, 0.05))
     assert known.log == pytest.approx(0.4, abs=0.01)
@@ -81,13 +82,13 @@ def test_many_shifts_make_a_figure_no_surer_than_it_may_be_and_none_as_unsure_as
 
 def test_a_figure_stays_within_its_range() -> None:
     for far in (-2.0, 2.0):
-        known = Learned(0.0, 0.6, -0.5, 0.7, 0.6, 0.01)
+        known = Figure(0.0, 0.6, -0.5, 0.7, 0.6, 0.01)
         (found,), _ = learn([known], seen_at(far, 0.02))
         assert found.log == pytest.approx(-0.5 if far < 0.0 else 0.7)
 
 
 def test_a_shift_that_no_figure_explains_teaches_nothing() -> None:
-    known = [Learned(0.1, 0.3, -3.0, 3.0, 0.6, 0.01)]
+    known = [Figure(0.1, 0.3, -3.0, 3.0, 0.6, 0.01)]
     for none in (math.inf, math.nan):
         found, deviance = learn(known, lambda _, none=none: none)
         assert found == known
@@ -95,7 +96,7 @@ def test_a_shift_that_no_figure_explains_teaches_nothing() -> None:
 
 
 def test_two_figures_that_make_up_for_each_other_are_found_in_the_valley() -> None:
-    known = [Learned(0.0, 0.5, -3.0, 3.0, 0.5, 0.01) for _ in range(2)]
+    known = [Figure(0.0, 0.5, -3.0, 3.0, 0.5, 0.01) for _ in range(2)]
 
     def deviance(logs: Sequence[float]) -> float:
         return ((logs[0] + 0.3 * logs[1] - 0.4) / 0.05) ** 2 + ((logs[1] - 0.1) / 0.2) ** 2
@@ -111,12 +112,12 @@ def test_of_several_minima_the_deepest_is_found_where_the_whole_range_is_looked_
     def deviance(logs: Sequence[float]) -> float:
         return 10.0 * (1.0 - math.cos(6.0 * (logs[0] - 0.9))) + 4.0 * abs(logs[0] - 0.9)
 
-    unsure = Learned(0.0, 1.0, -1.5, 1.5, 1.0, 0.005)
+    unsure = Figure(0.0, 1.0, -1.5, 1.5, 1.0, 0.005)
     (found,), _ = learn([unsure], deviance, (0,))
     assert found.log == pytest.approx(0.9, abs=0.02)
     (near,), _ = learn([unsure], deviance)
     assert abs(near.log - 0.9) > 0.3
-    sure = Learned(-0.15, 0.05, -1.5, 1.5, 1.0, 0.005)
+    sure = Figure(-0.15, 0.05, -1.5, 1.5, 1.0, 0.005)
     (kept,), _ = learn([sure], deviance, (0,))
     assert abs(kept.log + 0.15) < 0.1
 
@@ -170,8 +171,8 @@ def test_a_swing_that_was_kept_is_taken_up_as_it_was() -> None:
     lash = Lash(Axle(), TUNING.lash_rad, TUNING.lash_factor, 1.0)
     kept = SwingRecord(
         3, (120.0, 25.0), (0.01, 0.2), (0.04, 0.06), (0.3, 0.25), (1.1, 0.4), (0.9, 0.5),
-        (0.1, 0.2, 0.3), (0.8, 0.7, 0.6), 17.0, 0.35, True, math.exp(lash.known.half_log),
-        lash.known.half_sd,
+        (0.1, 0.2, 0.3), (0.8, 0.7, 0.6), 17.0, 0.35, True, lash.known.half.value,
+        lash.known.half.sd,
     )  # fmt: skip
     swing = DrivelineSwing(TUNING)
     swing.restore(kept)

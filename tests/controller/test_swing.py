@@ -14,13 +14,14 @@ from meshpoint.controller.estimation.driveline_swing import (
     DrivelineSwing,
     MainWindow,
 )
-from meshpoint.controller.estimation.lash import LashFigures
-from meshpoint.controller.estimation.likelihood import Learned, prior
+from meshpoint.controller.estimation.figure import Figure, prior
+from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import SWING_STATES
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import Vector
 
 TUNING = CrossingFilterTuning()
@@ -162,7 +163,7 @@ def window_of(angle: Any, seed: int) -> MainWindow:
     return MainWindow(edges, 0.0, x, p, 3e-4)
 
 
-def learned(swing: DrivelineSwing, window: MainWindow, edge_time: Learned) -> Learned:
+def learned(swing: DrivelineSwing, window: MainWindow, edge_time: Figure) -> Figure:
     search = swing.search(window, edge_time, teeth_known=True)
     while not search.is_over:
         search.step()
@@ -178,7 +179,7 @@ def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() ->
         edge_time = learned(swing, window, edge_time)
     natural = swing.motion.part("modes")["natural_rad_s"][0]
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
-    record = swing.record(LashFigures(8.0, 0.3, -2.0, 0.5, -4.0, 0.3, 2.0, 0.4), has_lash=True)
+    record = swing.record(Lash(Axle(), 2.0 * math.exp(-4.0), 2.0, 1.0).known, has_lash=True)
     assert record is not None and record.has_lash
     assert record.half_lash_rad == pytest.approx(math.exp(-4.0))
     again = DrivelineSwing(TUNING)

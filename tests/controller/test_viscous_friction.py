@@ -13,8 +13,8 @@ from free_layshaft import Runs, World, drive, law_array
 
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.figure import Figure, prior
 from meshpoint.controller.estimation.free_run import FreeMotion, FreeRun
-from meshpoint.controller.estimation.likelihood import Learned, prior
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.kernels import DRAG
 from meshpoint.controller.motion.models import diagonal, free_motion
@@ -62,7 +62,7 @@ class Box:
 
     sheet: GearboxSheet
     factor: float
-    friction: Learned = field(init=False)
+    friction: Figure = field(init=False)
     brake: Brake = field(init=False)
 
     def __post_init__(self) -> None:

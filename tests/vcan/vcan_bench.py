@@ -380,11 +380,11 @@ class Bench:
         frame = f"{message.frame_id:08X}#{data.hex()}"
         subprocess.run(["cansend", self.wire.rig, frame], check=True)
 
-    def wait_said(self, text: str) -> None:
-        """Waits until both nodes have said something."""
+    def wait_said(self, text: str, times: int = 1) -> None:
+        """Waits until both nodes have said something so often."""
         until(
-            lambda: all(text in node.said for node in (self.rig, self.controller)),
-            f"{text!r}, from both nodes",
+            lambda: all(node.said.count(text) >= times for node in (self.rig, self.controller)),
+            f"{text!r}, {times} x from both nodes",
             patience=self.patience(),
             say=self.story,
             poll_s=LOOK_S,

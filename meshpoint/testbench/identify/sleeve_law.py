@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sleeve.law_figures import Known, LawFigures
+from meshpoint.controller.estimation.figure import Estimate
+from meshpoint.controller.sleeve.law_figures import LawFigures
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
@@ -61,7 +62,7 @@ def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> N
     )
 
 
-def _is_shown(key: str, known: Known, before: Known | None) -> bool:
+def _is_shown(key: str, known: Estimate, before: Estimate | None) -> bool:
     """Whether the log makes a figure surer than the data sheet. A stopping distance is that of the
     latest abort, which comes later the more is known: there, as a share of the distance."""
     if before is None:
