@@ -15,6 +15,7 @@ nothing.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -51,32 +52,42 @@ class GapMiddle(NamedTuple):
     sd_rad: float
 
 
+def _distances_rad(pitch_rad: float) -> Vector:
+    """Distance of each cell from the first, at most half a pitch."""
+    away = pitch_rad / CELLS * np.arange(CELLS)
+    return away - pitch_rad * (away > pitch_rad / 2.0)
+
+
+@lru_cache(maxsize=8)
+def log_densities(pitch_rad: float, backlash_rad: float) -> list[Vector]:
+    """For measurements of each standard deviation, what one adds to the logarithm of a middle in
+    each cell. Kept, as it takes some milliseconds and is the same for all gears of a gearbox."""
+    phases, tables = _distances_rad(pitch_rad).tolist(), []
+    for share in MEASUREMENT_SHARES:
+        sd = share * backlash_rad
+        density = [_density(phase, sd, backlash_rad, pitch_rad) for phase in phases]
+        tables.append(INDEPENDENT * np.log(density))
+    return tables
+
+
+def _density(phase: float, sd: float, b: float, pitch_rad: float) -> float:
+    flanks = sum(math.exp(-0.5 * ((phase - side * b / 2.0) / sd) ** 2) for side in (-1.0, 1.0)) / (
+        2.0 * sd * math.sqrt(2.0 * math.pi)
+    )
+    ends = [math.erf((phase + side * b / 2.0) / (sd * math.sqrt(2.0))) for side in (1.0, -1.0)]
+    between = 0.5 * (ends[0] - ends[1]) / b
+    inside = AT_FLANK * flanks + (1.0 - AT_FLANK) * between
+    return (1.0 - ASTRAY) * inside + ASTRAY / pitch_rad
+
+
 class GapPosterior:
     """What the measurements at one gear show of the middle of its gap."""
 
     def __init__(self, pitch_rad: float, backlash_rad: float) -> None:
         self._pitch_rad, self._backlash_rad = pitch_rad, backlash_rad
-        away = pitch_rad / CELLS * np.arange(CELLS)
-        self._away = away - pitch_rad * (away > pitch_rad / 2.0)
-        """Distance of each cell from the first, at most half a pitch."""
-        self._log_densities = [self._log_density(share) for share in MEASUREMENT_SHARES]
         self._log: Vector = np.zeros(CELLS)
         self._measurements = np.zeros((len(MEASUREMENT_SHARES), CELLS))
         """How many measurements of each standard deviation there were in each cell."""
-
-    def _log_density(self, share: float) -> Vector:
-        density = [self._density(phase, share) for phase in self._away.tolist()]
-        return INDEPENDENT * np.log(density)
-
-    def _density(self, phase: float, share: float) -> float:
-        b, sd = self._backlash_rad, share * self._backlash_rad
-        flanks = sum(
-            math.exp(-0.5 * ((phase - side * b / 2.0) / sd) ** 2) for side in (-1.0, 1.0)
-        ) / (2.0 * sd * math.sqrt(2.0 * math.pi))
-        ends = [math.erf((phase + side * b / 2.0) / (sd * math.sqrt(2.0))) for side in (1.0, -1.0)]
-        between = 0.5 * (ends[0] - ends[1]) / b
-        inside = AT_FLANK * flanks + (1.0 - AT_FLANK) * between
-        return (1.0 - ASTRAY) * inside + ASTRAY / self._pitch_rad
 
     def measure(self, raw_rad: float, sd_rad: float) -> None:
         """One measurement at the gear in mesh: its raw phase and standard deviation."""
@@ -88,14 +99,15 @@ class GapPosterior:
         self._measurements[kind, cell] += 1.0
         # A middle in cell k explains the measurement by the density of its distance from there; the
         # density is the same on either side.
-        self._log += np.roll(self._log_densities[kind], cell)
+        densities = log_densities(self._pitch_rad, self._backlash_rad)
+        self._log += np.roll(densities[kind], cell)
 
     def middle(self) -> GapMiddle | None:
         """The middle of the gap; None while it is not certain."""
         weight = np.exp(self._log - self._log.max())
         weight /= weight.sum()
         best = int(weight.argmax())
-        away = np.roll(self._away, best)
+        away = np.roll(_distances_rad(self._pitch_rad), best)
         near = np.abs(away) < NEAR_SHARE * self._backlash_rad
         share = float(weight[near].sum())
         if share < CERTAIN or self._outside(away) > MOST_OUTSIDE * self._measurements.sum():

@@ -22,7 +22,7 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from meshpoint.controller.phase.gap_posterior import GapPosterior
+from meshpoint.controller.phase.gap_posterior import GapPosterior, log_densities
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import raw_phase_rad, wrap_to_pitch
@@ -200,6 +200,8 @@ class PhaseReferences:
         """What all measurements at a gear show of where its gap is."""
         self._likely_rad: dict[MainGear, float] = {}
         """Constants that are valid if teeth of this gearbox stay where the slip carried them."""
+        # Now, not in the step of the first lock.
+        log_densities(sheet.dog.pitch_rad, sheet.dog.backlash_rad)
 
     def known(self, gear: MainGear) -> bool:
         """Whether this gear's reference is known, and so its phase."""
