@@ -93,16 +93,15 @@ class Observer:
         self._loaded = LoadedDriveline(sheet)
         self._torque_nm: float | None = None
         """The engine's, as it said last."""
-        self._learns = estimator is Estimator.CROSSING
-        """The baselines know the data sheet and nothing more."""
         self.layshaft: LayshaftTracker
         self._main: CruiseTracker | MainTracker
-        self._crossing: CrossingTracker | None = None
-        """The layshaft's tracker, where it learns."""
+        self._learners: tuple[CrossingTracker, MainTracker] | None = None
+        """The trackers of both shafts, where they learn: the baselines know the data sheet and
+        nothing more."""
         self.recovery: ReferenceRecovery | None = None
         """What outlives lost tooth numbers; the baselines know no teeth by which to find them."""
-        if self._learns:
-            layshaft = self.layshaft = self._crossing = CrossingTracker(
+        if estimator is Estimator.CROSSING:
+            layshaft = self.layshaft = CrossingTracker(
                 tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing,
                 sheet.shafts.friction_nms,
             )  # fmt: skip
@@ -113,6 +112,7 @@ class Observer:
                 (sheet.range_.low.ratio, sheet.range_.high.ratio),
                 Behind(sheet.axle, sheet.dog.backlash_rad / 2.0),
             )
+            self._learners = layshaft, main
             self.recovery = ReferenceRecovery(sheet, self.references, layshaft.teeth, main.teeth)
         else:
             self.layshaft = BaselineTracker(estimator, settings, brake, wheels.layshaft.pitch_rad)
@@ -134,9 +134,9 @@ class Observer:
     def noise(self) -> NoiseRecord | None:
         """What a calibration file keeps of scatter and disturbance; None before they were
         learned."""
-        layshaft, main = self._crossing, self._main
-        if layshaft is None or not isinstance(main, MainTracker) or layshaft.noise_shifts == 0:
+        if self._learners is None or self._learners[0].noise_shifts == 0:
             return None
+        layshaft, main = self._learners
         edge, torque, memory = layshaft.noise
         own, friction = main.edge_time, layshaft.friction
         return NoiseRecord(
@@ -146,9 +146,9 @@ class Observer:
 
     def take_noise(self, record: NoiseRecord) -> None:
         """Sets scatter and disturbance as learned in earlier runs."""
-        layshaft, main = self._crossing, self._main
-        if layshaft is None or not isinstance(main, MainTracker):
+        if self._learners is None:
             return
+        layshaft, main = self._learners
         layshaft.take_noise(
             record.shifts,
             (record.layshaft_edge_s, record.layshaft_edge_sd),
@@ -162,28 +162,30 @@ class Observer:
 
     def swings(self) -> SwingRecords:
         """What a calibration file keeps of the driveline's swing."""
-        if not isinstance(self._main, MainTracker):
+        if self._learners is None:
             return SwingRecords()
-        return SwingRecords(self._main.record(Range.LOW), self._main.record(Range.HIGH))
+        _, main = self._learners
+        return SwingRecords(main.record(Range.LOW), main.record(Range.HIGH))
 
     def take_swings(self, records: SwingRecords) -> None:
         """Sets the driveline's swing as learned in earlier runs."""
-        if not isinstance(self._main, MainTracker):
+        if self._learners is None:
             return
+        _, main = self._learners
         for step, record in ((Range.LOW, records.low), (Range.HIGH, records.high)):
             if record is not None:
-                self._main.restore(step, record)
+                main.restore(step, record)
 
     def _model_layshaft(self) -> None:
         sheet, split = self._sheet, self._split
         thesis = layshaft_model(sheet, split)
         law = first_order_law(1.0 / sheet.brake.time_constant_s, sheet.air.supply_gauge_pa)
-        if self._learns:
+        disturbance = friction_nms = None
+        if self._learners is not None:
+            layshaft, _ = self._learners
             law = self.brake.law()
             self._brake_input.set_delays(self.brake.off_delay_us, self.brake.on_delay_us)
-        disturbance = friction_nms = None
-        if self._crossing is not None:
-            disturbance, friction_nms = self._crossing.disturbance, self._crossing.friction.value
+            disturbance, friction_nms = layshaft.disturbance, layshaft.friction.value
         motion = free_motion(sheet, split, law, self._tuning, disturbance, friction_nms)
         self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
@@ -229,14 +231,12 @@ class Observer:
     def _learn_on(self) -> bool:
         """A part of what shifts have shown that takes longer than a tick to be learned; whether
         there was one."""
-        layshaft, main = self._crossing, self._main
-        if layshaft is None or not isinstance(main, MainTracker):
+        if self._learners is None:
             return False
+        layshaft, main = self._learners
         learning, learned = layshaft.is_learning or main.is_learning, layshaft.learned
-        if layshaft.is_learning:
-            layshaft.learn()
-        if main.is_learning:
-            main.learn()
+        layshaft.learn()
+        main.learn()
         if layshaft.learned != learned:
             self._model_layshaft()
         return learning
@@ -249,9 +249,9 @@ class Observer:
     @property
     def learned(self) -> int:
         """Changes as soon as a shift has been learned from."""
-        layshaft, main = self._crossing, self._main
-        if layshaft is None or not isinstance(main, MainTracker):
+        if self._learners is None:
             return 0
+        layshaft, main = self._learners
         return layshaft.learned + main.learned
 
     def _see_load(self, inputs: StepInputs, kiss_share: float) -> None:
@@ -263,9 +263,11 @@ class Observer:
             )
             known = None if share is None else share * self._sheet.engine.reference_nm
             self._torque_nm = known
-        view, tracker, shaft = self.view, self._crossing, self._main
+        if self._learners is None:
+            return
+        view, (tracker, shaft) = self.view, self._learners
         gear, closed = DRIVE_GEARS.get(view.gear_number), view.clutch_closed
-        if tracker is None or not isinstance(shaft, MainTracker) or gear is None or tracker.free:
+        if gear is None or tracker.free:
             return
         shafts, torque_nm = shaft.shafts(gear.range_), self._torque_nm
         if shafts is None or torque_nm is None or closed is None:
@@ -384,8 +386,9 @@ class Observer:
             return
         free = self._is_free
         self.layshaft.set_free(free, newest.time_us, events)
-        if isinstance(self._main, MainTracker):
-            self._main.set_free(free, view.range_, events, view.oldest_us, pressed_nm, self._loaded)
+        if self._learners is not None:
+            _, main = self._learners
+            main.set_free(free, view.range_, events, view.oldest_us, pressed_nm, self._loaded)
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""

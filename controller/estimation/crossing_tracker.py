@@ -11,7 +11,6 @@ is needed before the next request: it is learned in parts, one a step, while a g
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import ClassVar, Final
@@ -88,7 +87,7 @@ class Lesson:
     noise: Search | None = None
 
 
-class CrossingTracker(WheelTracker):
+class CrossingTracker(WheelTracker[Lesson]):
     """Angle, speed and brake pressure of the layshaft at any time near now."""
 
     def __init__(
@@ -107,7 +106,6 @@ class CrossingTracker(WheelTracker):
         self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, WALK_RAD_S2)
         self._model: MotionModel | None = None
         self._inertia_kgm2 = 1.0
-        self._free = False
         self._free_edges = 0
         self._run = FreeRun(tuning)
         self.noise = [
@@ -124,9 +122,6 @@ class CrossingTracker(WheelTracker):
         """What is known of the viscous friction, Nms."""
         self._steady_rad_s: float | None = None
         """The speed at which the drag was seen last; None before the first shift."""
-        self._lessons: deque[Lesson] = deque()
-        self.learned = 0
-        """From how many free runs everything has been learned."""
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
         theta_sd = 2.0 * self._tuning.tooth_error_rad
@@ -261,18 +256,9 @@ class CrossingTracker(WheelTracker):
         state.p[THETA, THETA] += self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 
-    @property
-    def is_learning(self) -> bool:
-        """Whether `learn` has something to do: not while a run goes on, whose figures stay."""
-        return bool(self._lessons) and not self._free
-
-    def learn(self) -> None:
-        """The next part of what free runs teach, the oldest run first."""
-        lesson = self._lessons[0]
+    def _learn_part(self, lesson: Lesson) -> bool:
         lesson.part = self._LEARN[lesson.part](self, lesson)
-        if lesson.part is Part.NOTHING:
-            self._lessons.popleft()
-            self.learned += 1
+        return lesson.part is Part.NOTHING
 
     def _free_motion(self, lesson: Lesson) -> FreeMotion:
         """By what is known of the brake's delays and of the teeth now."""

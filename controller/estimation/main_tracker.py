@@ -9,7 +9,6 @@ predicted better. With a gear in mesh its acceleration is unknown.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -72,7 +71,7 @@ class SwingLesson:
     search: Search | None = None
 
 
-class MainTracker(WheelTracker):
+class MainTracker(WheelTracker[SwingLesson]):
     """Angle, speed, acceleration and swing of the main shaft."""
 
     def __init__(
@@ -98,7 +97,6 @@ class MainTracker(WheelTracker):
         self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
         """Standard deviation (s) of an edge's time."""
         self._range = Range.HIGH
-        self._free = False
         self._run = EdgeRun()
         self._before = StartWatch()
         self._cloud: LashCloud | None = None
@@ -106,9 +104,6 @@ class MainTracker(WheelTracker):
         self._trajectory: tuple[float, LashTrajectory | None] = (0.0, None)
         """The newest edges' time and the trajectory from then on."""
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
-        self._lessons: deque[SwingLesson] = deque()
-        self.learned = 0
-        """From how many intervals in neutral the swing has been learned."""
 
     def edges(self, batch: EdgeBatch) -> None:
         """Takes new edges."""
@@ -269,22 +264,15 @@ class MainTracker(WheelTracker):
         window = MainWindow(edges, time_us, x, p, teeth.sd_rad)
         self._lessons.append(SwingLesson(self._swings[self._range], window, teeth.learned))
 
-    @property
-    def is_learning(self) -> bool:
-        """Whether `learn` has something to do: not while the shaft is free, whose figures stay."""
-        return bool(self._lessons) and not self._free
-
-    def learn(self) -> None:
-        """A little more of what an interval in neutral shows of the swing, the oldest first."""
-        lesson = self._lessons[0]
+    def _learn_part(self, lesson: SwingLesson) -> bool:
+        """A little more of what an interval in neutral shows of the swing."""
         if lesson.search is None:
             lesson.search = lesson.swing.search(lesson.window, self.edge_time, lesson.teeth_known)
         lesson.search.step()
         if lesson.search.is_over:
             self.edge_time = lesson.swing.take(lesson.search.found.figures)
             self._filter.set_edge_time(self.edge_time.value)
-            self._lessons.popleft()
-            self.learned += 1
+        return lesson.search.is_over
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time; None before enough edges, or without any for 60 ms."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Final
+from collections import deque
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
@@ -28,8 +29,13 @@ NOISE_ADAPTATION: Final = 0.1
 edge: what drives it then is not known, and an impact is over within some edges."""
 
 
-class WheelTracker(ABC):
-    """A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common."""
+Lesson = TypeVar("Lesson")
+"""An interval in which the shaft was free, and what of it is still to be learned."""
+
+
+class WheelTracker(ABC, Generic[Lesson]):
+    """A filter over a wheel's edges with its teeth, which learns while a gear is in mesh from the
+    intervals in which the shaft was free."""
 
     def __init__(
         self,
@@ -44,7 +50,10 @@ class WheelTracker(ABC):
         self._in_gear = TeethInGear(self.teeth, tuning)
         self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
-        self._running = False
+        self._running = self._free = False
+        self._lessons: deque[Lesson] = deque()
+        self.learned = 0
+        """From how many such intervals everything has been learned."""
         self.placed = np.zeros((2, 0))
         """Times (us) and angles (rad) of the step's edges as their teeth are known, (2, n)."""
 
@@ -64,6 +73,22 @@ class WheelTracker(ABC):
     def newest_us(self) -> float:
         """Time of the newest edge used; 0 before there was one."""
         return self._filter.time_us
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether `learn` has something to do: not while the shaft is free, whose figures stay."""
+        return bool(self._lessons) and not self._free
+
+    def learn(self) -> None:
+        """The next part of what such intervals teach, the oldest first; nothing where there is
+        none."""
+        if self.is_learning and self._learn_part(self._lessons[0]):
+            self._lessons.popleft()
+            self.learned += 1
+
+    @abstractmethod
+    def _learn_part(self, lesson: Lesson) -> bool:
+        """Whether it was the last one."""
 
     def _take(
         self,
