@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from meshpoint.controller.calibration.learned import (
@@ -20,25 +18,16 @@ from meshpoint.controller.estimation.tooth_match import ToothPattern
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.phase.reference_recovery import SavedReferences
-from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 
-class Learns(Protocol):
-    """Who learns from shifts."""
-
-    sleeves: Sleeves
-    drifts: PhaseDrifts
-
-
-def restore(calibration: Calibration, observer: Observer, context: Learns) -> None:
+def restore(calibration: Calibration, observer: Observer, sleeves: Sleeves) -> None:
     """Starts with what earlier runs learned. Teeth and phase references are memories until the
-    wheels show which tooth is which; the baseline estimators take sleeves and drifts alone."""
-    context.sleeves.restore(calibration.sleeves, calibration.sleeve_laws)
-    context.drifts.restore(calibration.drifts)
+    wheels show which tooth is which; the baseline estimators take sleeves alone."""
+    sleeves.restore(calibration.sleeves, calibration.sleeve_laws)
     recovery = observer.recovery
     if recovery is None:
         return
@@ -91,7 +80,6 @@ def collect(
         swings=swings,
         sleeves=context.sleeves.records(),
         sleeve_laws=context.sleeves.laws(),
-        drifts=context.drifts.records(),
         end=End(complete=True),
     )
 

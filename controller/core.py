@@ -133,7 +133,7 @@ class ControllerCore:
         self.strategy_errors: dict[str, int] = {}
         """What was wrong with a user's strategy, and how many shifts ended of it."""
         if header.calibration is not None:
-            restore(header.calibration, self._observer, self._sequence)
+            restore(header.calibration, self._observer, self._sequence.sleeves)
 
     @property
     def knows(self) -> tuple[int, int, int]:
@@ -174,17 +174,14 @@ class ControllerCore:
         its tooth moves alone. For replays of another controller's log."""
         self._observer.references.locked(gear, 0.0, straight=False)
 
-    def estimate_by(self, follower: Follower, *, keeps_drifts: bool) -> None:
+    def estimate_by(self, follower: Follower) -> None:
         """Goes on with a follower's estimates, data sheet and settings: it is this controller's
-        from here on. The guard stays the one of the own data sheet. keeps_drifts: the own learned
-        drifts of the phase hold on."""
+        from here on. The guard stays the one of the own data sheet."""
         self.header, sequence = follower.header, self._sequence
         self._settings, self._speeds = follower.header.settings, follower.speeds
         self._observer = follower.observer
         sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
         sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
-        if not keeps_drifts:
-            sequence.drifts = follower.drifts
         sequence.change_settings(self._settings)
         self._reporter = Reporter(self.header, self._observer, sequence)
 

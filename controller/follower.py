@@ -15,7 +15,6 @@ from meshpoint.controller.carry_over import restore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.observer import Observer
-from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
@@ -37,13 +36,11 @@ class Follower:
         self.observer = Observer(sheet, settings, self.brake, settings.estimator)
         self.speeds = ShaftSpeeds(sheet)
         self.sleeves = Sleeves(sheet)
-        self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
-        """As the calibration has them: they are learned from predictions of its own firings."""
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._probe = ClockProbe()
         self._watched: object = None
         if header.calibration is not None:
-            restore(header.calibration, self.observer, self)
+            restore(header.calibration, self.observer, self.sleeves)
 
     def step(
         self, frames: list[Frame], now_us: int, first: ShiftSequence, seen: StepSnapshot

@@ -14,6 +14,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.motion.lash_motion import WHEELS
+from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -146,7 +147,8 @@ class WheelRings:
     def __call__(self, predictor: GearPredictor) -> GearPredictor:
         """The predictor whose main shaft hangs on wheels that are seen."""
         tracker, range_ = self._observer._main, self._observer.view.range_
-        if not isinstance(tracker, MainTracker) or not predictor.main.is_by_cloud:
+        by_cloud = isinstance(predictor.main.swing, LashTrajectory)
+        if not (isinstance(tracker, MainTracker) and by_cloud):
             return predictor
         cloud = tracker._cloud
         if cloud is None or range_ is None:

@@ -284,27 +284,6 @@ class SleeveLawRecords:
 
 
 @dataclass(frozen=True)
-class DriftRecord:
-    """How one gear's slip drifts from its prediction (`controller/planning/phase_drift.py`)."""
-
-    slip_rad_s: float = quantity("slip_rpm", -10.0, 10.0, RPM)
-    slip_sd_rad_s: float = quantity("slip_sd_rpm", 0.0, 10.0, RPM)
-    spread_share: float = quantity("spread_share", 0.01, 100.0)
-    """Ratio of the phases' real scatter to the filters' standard deviation."""
-    samples: float = quantity("samples", 0.01, 1e4)
-
-
-@dataclass(frozen=True)
-class DriftRecords(ByGear[DriftRecord]):
-    """The gears that have been engaged."""
-
-    crawl: DriftRecord | None = group(DriftRecord, default=None)
-    first: DriftRecord | None = group(DriftRecord, default=None)
-    second: DriftRecord | None = group(DriftRecord, default=None)
-    third: DriftRecord | None = group(DriftRecord, default=None)
-
-
-@dataclass(frozen=True)
 class End:
     """The last lines of a file: one that was cut off before them is torn, wherever it was cut."""
 
@@ -328,7 +307,6 @@ class Calibration:
     swings: SwingRecords = group(SwingRecords, default=SwingRecords())
     sleeves: SleeveRecords = group(SleeveRecords, default=SleeveRecords())
     sleeve_laws: SleeveLawRecords = group(SleeveLawRecords, default=SleeveLawRecords())
-    drifts: DriftRecords = group(DriftRecords, default=DriftRecords())
     end: End = group(End)
 
     def __post_init__(self) -> None:

@@ -111,12 +111,6 @@ class ShaftState(NamedTuple):
     swing: Swing | LashTrajectory | None = None
     """How it swings, where the estimator knows that."""
 
-    @property
-    def is_by_cloud(self) -> bool:
-        """Whether a cloud of particles says it: its deviations are whole then, and what it is off
-        by is a flank that was met or not."""
-        return isinstance(self.swing, LashTrajectory)
-
     def theta_at(self, time_us: float) -> float:
         """The angle at another time: the swing goes on; without one, acceleration held."""
         dt = (time_us - self.time_us) * US

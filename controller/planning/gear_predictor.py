@@ -73,10 +73,6 @@ class GearPredictor:
     delay_us: int
     """From a sleeve valve's activation to contact, expected."""
     delay_sd_s: float
-    drift_rad_s: float
-    """Learned: by how much the slip exceeds the model's prediction (`phase_drift`)."""
-    spread_share: float
-    """Learned: ratio of the phases' real scatter to the filters' standard deviation."""
     stop_us: int
     """A sleeve that has been fired can last be stopped so long before its contact."""
     contact_speed_m_s: float
@@ -90,19 +86,17 @@ class GearPredictor:
         """As `slip_rad_s`, of a main shaft that does not swing: what brake and drag still have to
         bring down."""
         omega = self.layshaft_at(time_us, release_us).omega_rad_s
-        return slip_rad_s(self.i_gear, omega, self.main.steady_omega_at(time_us)) + self.drift_rad_s
+        return slip_rad_s(self.i_gear, omega, self.main.steady_omega_at(time_us))
 
     def _slip(self, state: LayshaftState) -> float:
-        omega_main = self.main.omega_at(state.time_us)
-        return slip_rad_s(self.i_gear, state.omega_rad_s, omega_main) + self.drift_rad_s
+        return slip_rad_s(self.i_gear, state.omega_rad_s, self.main.omega_at(state.time_us))
 
     def phase_and_slip(self, time_us: float) -> tuple[float, float]:
         """Unwrapped phase and slip at a time. KeyError while the reference is unknown."""
         state = self.layshaft_at(time_us, None)
         theta_main = self.main.theta_at(time_us)
         phase = self.references.phase_rad(self.gear, state.theta_rad, theta_main)
-        drifted = self.drift_rad_s * (time_us - self.main.time_us) * US
-        return phase + drifted, self._slip(state)
+        return phase, self._slip(state)
 
     def layshaft_at(self, time_us: float, release_us: float | None) -> LayshaftState:
         """The layshaft at a time with the brake as commanded, or released at `release_us`."""
@@ -128,8 +122,8 @@ class GearPredictor:
         return self._estimate_sd_rad(time_us) ** 2
 
     def _estimate_sd_rad(self, time_us: float) -> float:
-        layshaft = self.spread_share * self.i_gear * self._layshaft_sd_rad(time_us)
-        return math.hypot(layshaft, self._main_sd_rad(time_us))
+        layshaft = self.i_gear * self._layshaft_sd_rad(time_us)
+        return math.hypot(layshaft, self.main.theta_sd_at(time_us))
 
     def variances(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
@@ -138,9 +132,8 @@ class GearPredictor:
         delay: each as predicted by what will be known when its firing has to be decided. The brake
         is as commanded, or released at `release_us`."""
         seen = self._layshaft_variances(first_us, step_us, count, release_us)
-        layshaft = (self.spread_share * self.i_gear) ** 2 * seen
-        scaled: Vector = self._main_share**2 * self.main.variances(first_us, step_us, count)
-        return scaled + layshaft
+        variances: Vector = self.main.variances(first_us, step_us, count) + self.i_gear**2 * seen
+        return variances
 
     def known_variances(
         self, first_us: float, step_us: float, count: int, now_us: int, measurement: LastMeasurement
@@ -172,13 +165,6 @@ class GearPredictor:
         ticks = Ticks(max(0.0, first_us - state.time_us), OUTLOOK_US, measurements)
         found = outlook(state, ticks, switches, self.model)
         return between_ticks(found, step_us, count)
-
-    def _main_sd_rad(self, time_us: float) -> float:
-        return self._main_share * self.main.theta_sd_at(time_us)
-
-    @property
-    def _main_share(self) -> float:
-        return 1.0 if self.main.is_by_cloud else self.spread_share
 
     def trajectory(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
@@ -214,8 +200,6 @@ class GearPredictor:
             step_us=step_us,
             i_gear=self.i_gear,
             reference_rad=-self.references.phase_rad(self.gear, 0.0, 0.0),
-            main_us=self.main.time_us,
-            drift_rad_s=self.drift_rad_s,
         )
 
     def release_time_us(

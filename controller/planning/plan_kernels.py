@@ -21,7 +21,6 @@ import numpy as np
 from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, copy_on, travel
 from meshpoint.kernels.jit import compiled, inlined, record_on
 from meshpoint.kernels.records import WORD_BYTES, Vector, filled, layout_of
-from meshpoint.units import US
 
 
 class Meeting:
@@ -34,10 +33,6 @@ class Meeting:
     i_gear: float
     reference_rad: float
     """Phase reference."""
-    main_us: float
-    """Time of the main shaft's state."""
-    drift_rad_s: float
-    """Learned: by how much the slip exceeds the model's prediction, from `main_us` on."""
 
 
 class ContactSeries:
@@ -137,9 +132,8 @@ def meet(
         time_us = first_us + k * mesh.step_us
         travel(ahead, at_us, time_us, switches, model)
         at_us = time_us
-        drifted = mesh.drift_rad_s * (time_us - mesh.main_us) * US
-        phase[k] = mesh.i_gear * state.theta_rad - phase[k] - mesh.reference_rad + drifted
-        slip[k] = mesh.i_gear * state.omega_rad_s - slip[k] + mesh.drift_rad_s
+        phase[k] = mesh.i_gear * state.theta_rad - phase[k] - mesh.reference_rad
+        slip[k] = mesh.i_gear * state.omega_rad_s - slip[k]
 
 
 @inlined
@@ -236,7 +230,7 @@ def warm_up() -> None:
     model = np.ones(MODEL.itemsize // WORD_BYTES)
     law = model.view(MODEL)["segments"]
     law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
-    meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0])
     trajectory(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
     found = np.ones((1, 2, 1))
     trajectories(np.ones(STATES), np.empty((3, 0)), model, meeting, np.ones((3, 1)), found)

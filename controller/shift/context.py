@@ -12,7 +12,6 @@ from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
@@ -68,7 +67,6 @@ class ShiftContext:
         self.references = references
         self.strategist = Strategist(sheet, settings)
         self.sleeves = Sleeves(sheet)
-        self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
@@ -99,8 +97,6 @@ class ShiftContext:
         self.free_predictor: GearPredictor | None = None
         """The last predictor before the sleeve entered its gear."""
         self.free_us = 0
-        self.firing_predictor: GearPredictor | None = None
-        """The predictor by which the firing was decided."""
 
     @property
     def running(self) -> ShiftRecord:
@@ -235,8 +231,6 @@ class ShiftContext:
             self.references,
             0,
             0.0,
-            self.drifts.rad_s(gear),
-            self.drifts.spread_share(gear),
             0,
             0.0,
         )

@@ -76,9 +76,7 @@ def _measure_contact(context: ShiftContext) -> None:
     if crossing is None:
         return
     shift.measured_contact_us = round(crossing)
-    fired, free = context.firing_predictor, context.free_predictor
-    if shift.aimed and fired is not None and free is not None:
-        context.drifts.learn(fired, free, crossing)
+    free = context.free_predictor
     if free is not None and context.reference_known(shift.target.main):
         shift.estimated_phase_rad = context.strategist.plan_at(
             free, round(crossing), ShiftDecision.NONE

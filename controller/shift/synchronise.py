@@ -99,7 +99,7 @@ def fire_if_due(
     shift.attempts += 1
     shift.first_fire_us = shift.first_fire_us or plan.fire_us
     shift.measured_contact_us = None
-    context.free_predictor, context.firing_predictor = None, predictor
+    context.free_predictor = None
     context.decision = plan._replace(decision=ShiftDecision.COMMITTED)
     return Trigger.FIRED
 

@@ -66,7 +66,7 @@ def test_a_follower_by_the_same_settings_knows_what_the_controller_knows() -> No
     assert followed.knew[-1][0][2] is not None
     other = followed.follower
     assert core.observer is not other.observer
-    core.estimate_by(other, keeps_drifts=True)
+    core.estimate_by(other)
     assert core.observer is other.observer
     loop.run(1_650_000)
     known = loop.last(ControllerStatus).reference_known

@@ -11,8 +11,6 @@ from calibration_example import SHEET, example
 
 from meshpoint.controller.calibration.learned import (
     Calibration,
-    DriftRecord,
-    DriftRecords,
     ReferenceRecords,
     SleeveRecords,
     SwingRecords,
@@ -21,12 +19,6 @@ from meshpoint.controller.calibration.learned import (
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
-
-
-def whole() -> Calibration:
-    """One with a drift too."""
-    drifts = DriftRecords(first=DriftRecord(0.05, 0.01, 0.8, 9.0))
-    return replace(example(), drifts=drifts)
 
 
 def core_with(calibration: Calibration | None, estimator: str = "crossing") -> ControllerCore:
@@ -46,7 +38,7 @@ def are_alike(found: Any, given: Any) -> bool:
 
 def test_a_controller_that_has_done_nothing_hands_on_what_it_was_given() -> None:
     """The wheels' patterns are memories until the wheels have turned, and kept as they were."""
-    given = whole()
+    given = example()
     core = core_with(given)
     kept = core.calibration("at noon")
     assert vars(kept.provenance) == {
@@ -57,26 +49,22 @@ def test_a_controller_that_has_done_nothing_hands_on_what_it_was_given() -> None
     assert are_alike(kept.wheels, given.wheels)
     assert are_alike(kept.references, given.references)
     assert are_alike(kept.sleeves, given.sleeves)
-    assert are_alike(kept.drifts, given.drifts)
     core.shifts = 5
     assert core.calibration("").provenance.shifts == given.provenance.shifts + 5
     fresh = core_with(None).calibration("")
     assert fresh.provenance.shifts == 0
     assert (fresh.wheels, fresh.references) == (WheelRecords(), ReferenceRecords())
-    assert (fresh.sleeves, fresh.drifts) == (SleeveRecords(), DriftRecords())
+    assert fresh.sleeves == SleeveRecords()
 
 
 @pytest.mark.parametrize("estimator", ["window", "thesis"])
-def test_a_baseline_keeps_what_it_cannot_learn_and_starts_with_delays_and_drifts(
-    estimator: str,
-) -> None:
-    given = whole()
+def test_a_baseline_keeps_what_it_cannot_learn_and_starts_with_delays(estimator: str) -> None:
+    given = example()
     core = core_with(given, estimator)
     kept = core.calibration("")
     assert (kept.wheels, kept.references) == (given.wheels, given.references)
     assert (kept.brake, kept.noise, kept.swings) == (given.brake, given.noise, given.swings)
     assert are_alike(kept.sleeves, given.sleeves)
-    assert are_alike(kept.drifts, given.drifts)
     assert kept.provenance.shifts == given.provenance.shifts
     none = core_with(None, estimator).calibration("")
     assert (none.wheels, none.references) == (WheelRecords(), ReferenceRecords())

@@ -13,7 +13,6 @@ from calibration_example import SHEET, example
 from meshpoint.controller.calibration.learned import (
     BrakeRecord,
     CalibrationError,
-    DriftRecord,
     NoiseRecord,
     Provenance,
     ReferenceRecords,
@@ -62,10 +61,6 @@ FORMAT: Final[dict[type, dict[str, Range]]] = {
     SleeveRecord: {
         "delay_ms": (1.0, 500.0, MS), "samples": (0.01, 1e4, 1.0),
         "scatter_ms": (1e-3, 100.0, MS), "scatter_samples": (0.01, 1e4, 1.0),
-    },
-    DriftRecord: {
-        "slip_rpm": (-10.0, 10.0, RPM), "slip_sd_rpm": (0.0, 10.0, RPM),
-        "spread_share": (0.01, 100.0, 1.0), "samples": (0.01, 1e4, 1.0),
     },
     Provenance: {"shifts": SHIFTS},
 }  # fmt: skip

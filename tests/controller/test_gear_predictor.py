@@ -14,7 +14,7 @@ from meshpoint.controller.motion.models import LayshaftState, MotionModel, first
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 
-AT_ZERO, DRIFT, SHARE, DELAY_SD_S = 0.03, 0.05, 0.5, 2e-3
+AT_ZERO, DELAY_SD_S = 0.03, 2e-3
 LAYSHAFT = LayshaftState(1_000.0, 1.5, 100.0, 0.0, 4e-3, 0.25, drag_rad_s2=-30.0)
 MAIN = ShaftState(3_000.0, 2.0, 64.0, 3e-3, 0.5, -5.0)
 BRAKED_RAD_S2 = 1000.0
@@ -30,7 +30,7 @@ def predictor(braked: bool = False) -> GearPredictor:
         brake.set_delays(off_us=OFF_DELAY_US, on_us=500)
         brake.schedule(ON_US - 500, True, -1)
     return GearPredictor(GEAR, RATIO, LAYSHAFT, MAIN, brake, MODEL, learned(AT_ZERO), 45_000,
-                         DELAY_SD_S, DRIFT, SHARE, 33_000, 0.3)  # fmt: skip
+                         DELAY_SD_S, 33_000, 0.3)  # fmt: skip
 
 
 def trajectory(time_us: float, release_us: float | None = None) -> tuple[float, float]:
@@ -42,8 +42,8 @@ def trajectory(time_us: float, release_us: float | None = None) -> tuple[float, 
     turned_back = slowed * (braked_s / 2.0 + since_s)
     layshaft = 1.5 + 100.0 * t - 15.0 * t**2 - turned_back
     main = 2.0 + 64.0 * t_main - 2.5 * t_main**2
-    phase = RATIO * layshaft - main + AT_ZERO + DRIFT * t_main
-    return phase, RATIO * (100.0 - 30.0 * t - slowed) - (64.0 - 5.0 * t_main) + DRIFT
+    phase = RATIO * layshaft - main + AT_ZERO
+    return phase, RATIO * (100.0 - 30.0 * t - slowed) - (64.0 - 5.0 * t_main)
 
 
 @pytest.mark.parametrize("time_us", [3_000.0, 21_000.0, 81_000.0])
@@ -84,7 +84,7 @@ def test_the_release_and_the_time_that_leave_a_slip_are_found() -> None:
 @pytest.mark.parametrize("time_us", [3_000.0, 43_000.0])
 def test_what_is_not_known_of_both_shafts_grows_with_time(time_us: float) -> None:
     """Variance of angle + speed t of each, errors of both going together where they are said to;
-    as much of it as phases were found to scatter; and the sleeve's delay by the slip."""
+    and the sleeve's delay by the slip."""
     t, t_main = (time_us - LAYSHAFT.time_us) * 1e-6, (time_us - MAIN.time_us) * 1e-6
     together = np.diag([16e-6, 0.0625, 0.0, 0.0, 0.0, 0.0])
     together[0, 1] = together[1, 0] = -5e-4
@@ -92,7 +92,7 @@ def test_what_is_not_known_of_both_shafts_grows_with_time(time_us: float) -> Non
     for covariance, cross in ((None, 0.0), (together, -5e-4)):
         made = replace(predictor(), layshaft=LAYSHAFT._replace(covariance=covariance))
         layshaft = (4e-3) ** 2 + 2.0 * t * cross + (0.25 * t) ** 2
-        expected = SHARE**2 * (RATIO**2 * layshaft + main)
+        expected = RATIO**2 * layshaft + main
         assert made.estimate_variance(time_us) == pytest.approx(expected)
         delay = trajectory(time_us)[1] * DELAY_SD_S
         assert made.phase_sd_rad(time_us) == pytest.approx(math.hypot(math.sqrt(expected), delay))

@@ -42,6 +42,7 @@ from meshpoint.controller.motion.lash_motion import (
     move,
     move_often,
 )
+from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
@@ -387,11 +388,11 @@ def test_a_cloud_of_before_is_not_asked_once_the_speed_was_lost() -> None:
     main.set_free(True, Range.LOW, [], main.newest_us)
     turn(main, 100, 160)
     free = main.at(main.newest_us)
-    assert free is not None and free.is_by_cloud
+    assert free is not None and isinstance(free.swing, LashTrajectory)
     main.lose_speed()
     turn(main, 160, 260)
     seen = main.at(main.newest_us)
-    assert seen is not None and not seen.is_by_cloud
+    assert seen is not None and not isinstance(seen.swing, LashTrajectory)
 
 
 def test_what_a_window_in_neutral_has_shown_of_the_backlash_is_kept_at_its_end() -> None:

@@ -128,7 +128,7 @@ swing = Swing(main.x, main.p, motion)
 ahead = np.empty((2, 20))
 swing.trajectories(np.array([1e-3]), 2e-3, ahead[np.newaxis])
 meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
-    reference_rad=0.1, main_us=0.0, drift_rad_s=0.02)
+    reference_rad=0.1)
 trajectory(x.copy(), switches, model.flat, meeting, ahead)
 contacts = filled(CONTACT_SERIES, wait_s=0.02, step_s=2e-3)
 variance = np.interp(np.arange(20.0), np.arange(5) * 4.0, swing.outlook(0.05, 0.01, 5))

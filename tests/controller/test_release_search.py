@@ -41,8 +41,6 @@ def predictor() -> GearPredictor:
         learned(0.2),
         DELAY_US,
         1e-3,
-        0.1,
-        1.0,
         DELAY_US - 12_000,
         0.3,
     )

@@ -62,7 +62,7 @@ def predictor_at(
     delay_us = round(sleeve.delay_s * 1e6)
     return GearPredictor(
         GEAR, RATIO, layshaft, MAIN, brake, MOTION, references or learned(0.0), delay_us,
-        sleeve.delay_sd_s, 0.0, 1.0, delay_us - round(1e6 * sleeve.valve_delay_s), 0.3,
+        sleeve.delay_sd_s, delay_us - round(1e6 * sleeve.valve_delay_s), 0.3,
     )  # fmt: skip
 
 

@@ -121,7 +121,6 @@ class TrueState:
             references=TrueReferences(self._sheet, offset),
             delay_us=round(mean_s * 1e6),
             delay_sd_s=sd_s,
-            drift_rad_s=0.0,
         )
         self._renew(known, time_us)
         if self._forecast is None:

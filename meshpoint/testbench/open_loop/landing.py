@@ -40,7 +40,7 @@ from meshpoint.testbench.open_loop.recorded_trajectory import (
     last_release_us,
 )
 from meshpoint.testbench.results.states import state_words
-from meshpoint.units import DEG, RPM, US
+from meshpoint.units import DEG, RPM
 
 NORMALS: Final = 7 + PARAMETERS
 """What is uncertain: brake gain, sleeve delay, angles, reference, drag after the release, how much
@@ -209,8 +209,6 @@ class _Draw:
         start_us = float(trajectory.steps[max(0, parting.step - 1)].now_us)
         self.difference = BrakeDifference(trajectory, start_us, gain, known, as_built)
         self._ratio = parting.sheet.main_mesh(parting.gear).ratio
-        self._share = self.sequence.drifts.spread_share(parting.gear)
-        self._drift = self.sequence.drifts.rad_s(parting.gear)
 
     def land(self) -> _Landing | str:
         """Until the sleeve is fired, and from there to contact; or why it never is."""
@@ -271,13 +269,12 @@ class _Draw:
         contact_us = fire_us + delay_us
         state, main = self._state(contact_us), trajectory.main(contact_us)
         theta_main = main.theta_at(contact_us)
-        drifted = self._drift * max(0.0, contact_us - trajectory.newest.time_us) * US
         angles = math.hypot(
             self._ratio * trajectory.layshaft_sd_rad(contact_us), trajectory.main_sd_rad(contact_us)
         )
-        off = self._share * angles * self._normal[2]
+        off = angles * self._normal[2]
         off += REFERENCE_SD_RAD * self._normal[3]
-        phase = sequence.references.phase_rad(gear, state.theta_rad, theta_main) + drifted + off
+        phase = sequence.references.phase_rad(gear, state.theta_rad, theta_main) + off
         slip = slip_rad_s(self._ratio, state.omega_rad_s, main.omega_at(contact_us))
         pitch = self._parting.sheet.dog.pitch_rad
         return _Landing(fire_us, contact_us, wrap_to_pitch(phase, pitch), slip)

@@ -122,7 +122,6 @@ class OpenLoop:
         self._consumed: list[Frame] = []
         self._settings = ControllerSettings()
         self._follower: Follower | None = None
-        self._keeps_drifts = True
         self._branch: _Branch | None = None
         self._session = -1
         self._strayed: int | None = None
@@ -145,7 +144,6 @@ class OpenLoop:
         other = self._change(header)
         self._settings, self._errors, self._strayed = other.settings, errors, None
         self._follower = Follower(other) if estimates_differ(header, other) else None
-        self._keeps_drifts = header.calibration == other.calibration
 
     def end(self) -> None:
         """The session, or what can be repeated of it, has ended."""
@@ -177,7 +175,7 @@ class OpenLoop:
         if self._follower is None:
             other.change_settings(self._settings)
         else:
-            other.estimate_by(copied(self._follower), keeps_drifts=self._keeps_drifts)
+            other.estimate_by(copied(self._follower))
         other.strategy_errors = {}
         return other
 
