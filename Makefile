@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: long devices study swarm faults planted mutants digests demo docs test installed wheel acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -50,6 +50,11 @@ devices: $(VENV)/test.stamp
 # The wheel as a user installs it, and every command of README's table once.
 installed: $(VENV)/test.stamp
 	PYTHON=$(PYTHON) tools/test-installed
+
+# The wheel, with compiled kernels (docs/ci.md), in dist/.
+wheel: $(VENV)/test.stamp
+	rm -rf build/lib
+	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
 # Real processes through the commands alone; some minutes.
 acceptance: $(VENV)/test.stamp
