@@ -27,10 +27,8 @@ PACKAGES = ("controller", "rig_sim", "dbc", "meshpoint")
 
 
 class Shape(NamedTuple):
-    """The figures of one package."""
+    """The figures of a package with rooms."""
 
-    files: int
-    lines: int
     rooms: int
     floors: int
     arrows: int
@@ -58,13 +56,12 @@ def arrows_of(graph: grimp.ImportGraph, package: str) -> set[tuple[str, str]]:
 
 def shape_of(graph: grimp.ImportGraph, package: str) -> Shape:
     """The figures of a package with rooms."""
-    lines, files = _lines(package)
     mine = {each for each in graph.modules if room_of(each, package)}
     inside = {each for each in mine if each.count(".") > 2}
     arrows = arrows_of(graph, package)
     reached = {b for a, b in _imports(graph) if b in inside and a not in mine}
     rooms = {room_of(each, package) for each in mine}
-    return Shape(files, lines, len(rooms), _floors(arrows), len(arrows), len(inside), len(reached))
+    return Shape(len(rooms), _floors(arrows), len(arrows), len(inside), len(reached))
 
 
 def _imports(graph: grimp.ImportGraph) -> Iterator[tuple[str, str]]:

@@ -9,7 +9,7 @@ A record is declared once, as a class, the unit in the field's name:
 Fields are `float`, `int` (64 bits, or `Annotated[int, ctypes.c_uint16]`), other records, or rows
 of these. Python reads and writes `tank.pressure_pa` in the memory itself: the record is a ctypes
 structure, as a field takes 0.05 us there and 2 us in a `np.record`. Kernels get
-`Memory(tank).array`, a NumPy array of one such record, and say `tank = tanks[0]`, then
+`RecordArray(tank).array`, a NumPy array of one such record, and say `tank = tanks[0]`, then
 `tank.pressure_pa` as well. With NUMBA_DISABLE_JIT=1 `tanks[0]` is the structure itself.
 
 Keep records, not rows or NumPy views of them, in objects that are copied: a copied record finds its

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from meshpoint.controller.estimation.brake_model import LEAST_SAMPLES, PARAMETERS, BrakeModel
+from meshpoint.controller.estimation.figure import Estimate
 from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, free_motion, predict
 from meshpoint.controller.sensing.pressure_samples import PressureSampler, PressureSamples
@@ -165,8 +166,8 @@ def test_pads_that_touch_at_a_pressure_brake_later_and_by_as_much_less(touch_pa:
 
 def test_a_restored_brake_is_the_one_that_was_kept() -> None:
     model = learned()
-    model.gain = model.gain._replace(value=1.07)
-    model.drag_nm = model.drag_nm._replace(sd=0.3)
+    model.gain = Estimate(1.07, model.gain.sd)
+    model.drag_nm = Estimate(model.drag_nm.value, 0.3)
     record = model.record()
     assert record is not None
     other = fresh()

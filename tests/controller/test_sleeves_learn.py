@@ -17,7 +17,7 @@ from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")
-SEEDS = (1, 2)
+SEEDS = (1, 2, 3)
 CHANCE_MS = 0.3
 """Of a drawn valve, from switch to switch."""
 

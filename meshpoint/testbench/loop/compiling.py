@@ -6,7 +6,6 @@ compiling the same for itself.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import threading
@@ -81,7 +80,9 @@ def prepare(thesis: bool = False, baselines: bool = True) -> int:
 
     thesis: also the rig's of the preset `thesis`; baselines: also the controller's of the
     estimators `thesis` and `window`, which a run scores beside the one in use."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+    from meshpoint.kernels.jit import DISABLED
+
+    if DISABLED:
         return 0
     from meshpoint.testbench.loop.compiled_mark import CompiledMark
 
