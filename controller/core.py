@@ -26,7 +26,7 @@ from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.view import GuardInputs, GuardView
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.observer import Observer, ShiftFindings
+from meshpoint.controller.observer import Observer
 from meshpoint.controller.report.log_lines import decision_line, outcome_line
 from meshpoint.controller.report.reporter import Reporter
 from meshpoint.controller.sensing.clock_probe import ClockProbe
@@ -222,9 +222,7 @@ class ControllerCore:
             self._probe.repeat()
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
-        driveline, kiss = self._sequence.driveline, self._sequence.kiss
-        found = ShiftFindings(driveline.pressed_nm, kiss.share)
-        self._observer.take(inputs, now_us, events, found)
+        self._observer.take(inputs, now_us, events, self._sequence.kiss.share)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
@@ -303,6 +301,7 @@ class ControllerCore:
             *torque,
             is_self_tested=self._guard.is_proven,
             more_lead_us=self._refused.more_us,
+            loaded=observer.loaded,
         )
 
     @property

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
@@ -56,15 +54,6 @@ DRAGGED_US = 30_000
 CLUTCH_BITES_SHARE = 0.2
 
 
-class ShiftFindings(NamedTuple):
-    """What a shift sequence has found that the estimates need."""
-
-    pressed_nm: float
-    """What is left in the shafts as a gear comes out (`DrivelineMeasurement.pressed_nm`)."""
-    kiss_share: float
-    """Where the clutch's plates begin to carry."""
-
-
 class Observer:
     """Estimates and measurements of the gearbox, updated at each step."""
 
@@ -89,8 +78,7 @@ class Observer:
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
-        self._no_shifts = ShiftFindings(0.0, sheet.clutch.kiss_share)
-        self._loaded = LoadedDriveline(sheet)
+        self.loaded = LoadedDriveline(sheet)
         self._torque_nm: float | None = None
         """The engine's, as it said last."""
         self.layshaft: LayshaftTracker
@@ -194,11 +182,10 @@ class Observer:
         inputs: StepInputs,
         now_us: int,
         events: list[str],
-        found: ShiftFindings | None = None,
+        kiss_share: float | None = None,
     ) -> None:
-        """One step's messages, at `now_us` of the controller's clock. found: by the shifts so far;
-        None where this observer makes none."""
-        found = found or self._no_shifts
+        """One step's messages, at `now_us` of the controller's clock. kiss_share: where the
+        clutch's plates were found to begin to carry; None: where the data sheet says."""
         self._learn_on()
         self._see_synchronisers(now_us)
         layshaft = self._read(
@@ -215,16 +202,16 @@ class Observer:
         jumped = self._lose_what_broke(events)
         if jumped:
             layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_SAMPLES
-            self._loaded.lose()
+            self.loaded.lose()
         if not self.layshaft.free and self._is_free:
             layshaft, main = self._take_in_gear(layshaft, main)
-        self._see_whether_free(events, found.pressed_nm)
+        self._see_whether_free(events)
         self._main.edges(main)
         if self._main_dragged:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
-        self._see_load(inputs, found.kiss_share)
+        self._see_load(inputs, self._sheet.clutch.kiss_share if kiss_share is None else kiss_share)
         if self.recovery is not None:
             self.recovery.measure(events, self._layshaft_wheel.sensor.renumbered)
 
@@ -273,7 +260,7 @@ class Observer:
         if shafts is None or torque_nm is None or closed is None:
             return
         load = Load(torque_nm, closed > kiss_share, tracker.own_drag_nm)
-        self._loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
+        self.loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
 
     def _see_synchronisers(self, now_us: int) -> None:
         """Notes changes of splitter and range: their synchronisers accelerate the shafts
@@ -374,7 +361,7 @@ class Observer:
         self._main.edges(driven)
         return layshaft, main
 
-    def _see_whether_free(self, events: list[str], pressed_nm: float) -> None:
+    def _see_whether_free(self, events: list[str]) -> None:
         view = self.view
         if not view.complete:
             return
@@ -388,7 +375,7 @@ class Observer:
         self.layshaft.set_free(free, newest.time_us, events)
         if self._learners is not None:
             _, main = self._learners
-            main.set_free(free, view.range_, events, view.oldest_us, pressed_nm, self._loaded)
+            main.set_free(free, view.range_, events, view.oldest_us, self.loaded)
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""

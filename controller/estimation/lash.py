@@ -38,11 +38,8 @@ from meshpoint.units import US
 
 DRIVELINES: Final = 2500
 """Number of drivelines in a cloud."""
-PRESSED: Final = 0.6
-"""Share of the first cloud that is still pressed to the flank that the shafts' torque held."""
 AROUND: Final = 1.15
-"""The rest of the first cloud lies within the backlash and this much of its half beyond: flanks
-give way."""
+"""The first cloud lies within the backlash and this much of its half beyond: flanks give way."""
 PRESSED_SDS: Final = 2.0
 """In gear, a flank was pressed on where the twist was beyond it by this many standard
 deviations."""
@@ -78,9 +75,6 @@ class LashStart(NamedTuple):
     vehicle_root: Vector | None = None
     """A root of the covariance of the vehicle's speed and acceleration, (2, 2); None: as the sheet
     says."""
-    pressed_nm: float = 0.0
-    """About what was left in the shafts, at the propeller shaft: above 0 at the flank of drive,
-    below at that of coast, 0 unknown."""
     behind: BehindState | None = None
     """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
 
@@ -178,14 +172,14 @@ class Lash:
         x[LOSS] = np.exp(known.loss.log + known.loss.sd * sure[7])
         x[DRAG] = np.maximum(np.exp(known.drag.log + known.drag.sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
-        self._press(x, start.pressed_nm)
+        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * even(DRIVELINES)[1]) * x[HALF]
         if start.behind is not None:
             self._follow_on(x, start.behind)
         return x
 
     def _follow_on(self, x: Vector, behind: BehindState) -> None:
         """Starts from what the driveline was found to be in gear. Where it lies in its backlash is
-        not believed of all: half of them lie as the ramp says where no flank is pressed on."""
+        not believed of all: half of them lie anywhere where no flank was pressed on."""
         mean, root, half = behind
         found = mean[:, np.newaxis] + root @ normal(DRIVELINES)[1:6]
         twist, ratio = found[0], self.ratio
@@ -195,18 +189,6 @@ class Lash:
         share = PRESSED_IN_GEAR if is_pressed else FREE_IN_GEAR
         x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
         x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
-
-    def _press(self, x: Vector, pressed_nm: float) -> None:
-        """Places the drivelines between their flanks, and at the one that was pressed on."""
-        pressed = float(np.sign(pressed_nm))
-        places, share = even(DRIVELINES)[1], PRESSED * abs(pressed)
-        on, rest = places < share, (places - share) / (1.0 - share)
-        # The law of what a ramp leaves has a mean and is no less than none: exponential.
-        left_nm = -abs(pressed_nm) * np.log1p(-np.where(on, places / PRESSED, 0.0))
-        twist = left_nm * self.ratio / (self._turned_kgm2 * x[STIFF])
-        flank = (1 + pressed) * x[HALF] + pressed * twist
-        x[WAY] = np.where(on, flank, (1.0 - AROUND + 2.0 * AROUND * rest) * x[HALF])
-        x[TYRE] += pressed * left_nm * self.ratio / self._turned_kgm2 * self._share / x[TYRE_STIFF]
 
     @property
     def vehicle_sds(self) -> tuple[float, float]:

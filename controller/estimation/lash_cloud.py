@@ -111,7 +111,6 @@ class LashCloud:
                 speed_rad_s=speed,
                 vehicle_rad_s=vehicle,
                 vehicle_root=np.diag((math.hypot(speed_sd, speed - vehicle), hill_sd)),
-                pressed_nm=0.0,
                 behind=None,
             )
         )

@@ -44,7 +44,6 @@ class StartWatch:
         self._in_gear: deque[tuple[float, float]] = deque()
         """The newest edge of each batch: time (us) and angle (rad)."""
         self._since_us = 0.0
-        self._pressed_nm = 0.0
         self._behind: BehindState | None = None
         self._vehicle: VehicleTrajectory | None = None
         self.waiting: Vector = np.empty((2, 0))
@@ -66,11 +65,9 @@ class StartWatch:
         """A window in neutral has shown how the vehicle goes."""
         self._vehicle = vehicle
 
-    def released(
-        self, since_us: float, pressed_nm: float = 0.0, behind: BehindState | None = None
-    ) -> None:
-        """A gear came out no later than this; the others: as in `LashStart`."""
-        self._since_us, self._pressed_nm, self._behind = since_us, pressed_nm, behind
+    def released(self, since_us: float, behind: BehindState | None = None) -> None:
+        """A gear came out no later than this; behind: as in `LashStart`."""
+        self._since_us, self._behind = since_us, behind
         self.waiting = np.empty((2, 0))
 
     def take_out(self, edges: Vector, vehicle_sds: tuple[float, float]) -> LashStart | None:
@@ -86,9 +83,7 @@ class StartWatch:
         before = before[:, before[0] <= self._since_us]
         kept, self._vehicle = self._vehicle, None
         self._in_gear.clear()
-        start = LashStart(
-            self._since_us, angle, speed, speed, pressed_nm=self._pressed_nm, behind=self._behind
-        )
+        start = LashStart(self._since_us, angle, speed, speed, behind=self._behind)
         if kept is not None and self._since_us - kept.time_us < KEPT_US:
             return _kept(start, kept, vehicle_sds)
         if before.shape[1] < 2 or before[0, -1] - before[0, 0] < LEAST_FIT_US:

@@ -29,6 +29,7 @@ from meshpoint.controller.estimation.loaded_kernels import (
     follow_loaded,
     loaded_ahead,
 )
+from meshpoint.controller.motion.twist import STATES, Twist, TwistFigures
 from meshpoint.gearbox import DriveGear, GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.kernels.records import RecordMemory, Vector, filled
@@ -148,7 +149,7 @@ class LoadedDriveline:
         self._sheet = sheet
         self._gears = {gear: in_gear(sheet, gear) for gear in DRIVE_GEARS.values()}
         self._gear: DriveGear | None = None
-        self._carried = False
+        self._carried, self._load_nm, self._drag_nm = False, 0.0, 0.0
         self._model, self._followed = np.zeros(0), RecordMemory(FOLLOWED)
         self._x, self._p = np.zeros(LOADED_STATES), np.zeros((LOADED_STATES, LOADED_STATES))
         least, most = sheet.driveline.vehicle_kgm2
@@ -209,7 +210,7 @@ class LoadedDriveline:
             # The plates have parted: what the engine's torque was taken for wrongly is gone.
             self._x[WRONG], self._p[WRONG, :], self._p[:, WRONG] = 0.0, 0.0, 0.0
             self._p[WRONG, WRONG] = (ratio * OPEN_NM) ** 2
-        self._carried = load.carries
+        self._carried, self._load_nm, self._drag_nm = load.carries, load.torque_nm, drag_nm
         chance = 2.0 * axle.propeller_chance_nm**2 * axle.chance_s
         road = 2.0 * axle.road_chance_nm**2 * axle.road_chance_s
         self._model = filled(
@@ -257,19 +258,56 @@ class LoadedDriveline:
         self._followed.part("time_us")[0] = self._began_us = time_us
         self._followed.part("nis")[0], self._running = 1.0, True
 
-    def behind(self, time_us: float) -> BehindState | None:
-        """The driveline behind the gearbox at a time soon after the newest measurement; None where
-        the gear was not followed for long enough."""
+    def _at(self, time_us: float) -> tuple[Vector, Vector] | None:
+        """State and covariance at a time soon after the newest measurement; None where the gear was
+        not followed for long enough."""
         newest_us = float(self._followed.part("time_us")[0])
         ahead_s, followed_s = (time_us - newest_us) * US, (newest_us - self._began_us) * US
         if not self._running or followed_s < LEAST_S or not 0.0 <= ahead_s < LATE_S:
             return None
-        x, p, model = self._x.copy(), self._p.copy(), self._model
-        loaded_ahead(x, p, ahead_s, model)
+        x, p = self._x.copy(), self._p.copy()
+        loaded_ahead(x, p, ahead_s, self._model)
+        return (x, p) if np.isfinite(x).all() and np.isfinite(p).all() else None
+
+    def twist(self, time_us: float) -> Twist | None:
+        """The driveline on its flank, for a plan of the engine's torque; None where the gear was
+        not followed for long enough, or the clutch carries nothing."""
+        found = self._at(time_us)
+        if found is None or self._gear is None or not self._carried:
+            return None
+        (x, _), mesh, axle = found, self._gears[self._gear], self._sheet.axle
+        model = self._model.view(LOADED_MODEL)[0]
+        place, half = x[TWIST] + model["tooth_rad"], model["half_lash_rad"]
+        fading = abs(x[VEHICLE]) / axle.relaxation_rad
+        state = np.empty(STATES)
+        state[:2] = x[GEAR_SPEED] - x[WHEELS], place - min(max(place, -half), half)
+        state[2:] = x[WHEELS] - x[VEHICLE], x[TYRE], self._load_nm, 1.0
+        figures = TwistFigures(
+            ratio=mesh.overall,
+            geared_kgm2=float(model["geared_kgm2"]),
+            released_kgm2=axle.propeller_kgm2 + axle.main_kgm2 / mesh.range_**2,
+            constant_nm=float(x[WRONG]) - self._drag_nm,
+            shaft_nm_rad=float(model["shaft_nm_rad"]),
+            shaft_nms=SHAFT_NMS,
+            wheels_kgm2=axle.wheels_kgm2,
+            tyre_nm_rad=axle.tyre_nm_rad,
+            tyre_nms=axle.tyre_nms,
+            fading=float(fading),
+            vehicle_inverse=float(x[VEHICLE_INVERSE]),
+            hill_rad_s2=float(x[HILL]),
+            lag_s=self._sheet.engine.lag_s,
+        )
+        return Twist(figures, state)
+
+    def behind(self, time_us: float) -> BehindState | None:
+        """The driveline behind the gearbox at a time soon after the newest measurement; None where
+        the gear was not followed for long enough."""
+        found = self._at(time_us)
+        if found is None:
+            return None
+        (x, p), model = found, self._model
         shared = INFLATION * p[np.ix_(BEHIND, BEHIND)]
         mean = x[list(BEHIND)]
-        if not (np.isfinite(shared).all() and np.isfinite(mean).all()):
-            return None  # eigh would raise
         values, vectors = np.linalg.eigh(shared)
         half, tooth = (model.view(LOADED_MODEL)[name][0] for name in ("half_lash_rad", "tooth_rad"))
         mean[0] += tooth

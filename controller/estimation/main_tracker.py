@@ -194,16 +194,14 @@ class MainTracker(WheelTracker[SwingLesson]):
         range_: Range | None,
         events: list[str],
         since_us: float = 0.0,
-        pressed_nm: float = 0.0,
         loaded: LoadedDriveline | None = None,
     ) -> None:
         """Whether it turns with the vehicle alone, surely so since a time; its teeth and its swing
-        are learned then. pressed_nm: what is left in the shafts (`LashStart`); loaded: what was
-        seen of the driveline while the gear was in mesh."""
+        are learned then. loaded: what was seen of the driveline while the gear was in mesh."""
         if free and not self._free and self._running and range_ is not None:
             since_us = max(since_us, self._filter.time_us)
             behind = None if loaded is None else loaded.behind(since_us)
-            self._before.released(since_us, pressed_nm, behind)
+            self._before.released(since_us, behind)
             self._begin_free(range_)
         elif not free and self._free:
             self._end_free(events)

@@ -86,8 +86,11 @@ class DrivelineState:
         default_factory=lambda: deque(maxlen=ENGINE_MEASUREMENTS)
     )
     """The engine's newest speeds and when they were read; none while one is missing."""
-    own_share: tuple[float, float] = (-math.inf, math.inf)
-    """The least that the engine has pushed and pulled since its torque is taken away."""
+    own_share: tuple[float, float] | None = None
+    """None, and the engine's own torque when it began to be taken away, the lesser first; since the
+    plates were last apart."""
+    takes_away: bool = False
+    """The last request that was judged was one for torque."""
     torque_us: int = 0
     """For so long the engine's torque has been taken away since the plates were last apart."""
 
@@ -137,9 +140,10 @@ Rule = Callable[[DrivelineCase], bool]
 
 def engine_beyond_the_gear(case: DrivelineCase) -> bool:
     """Row 14: a speed over the sheet's limit, or with a gear in mesh one that the slip window of
-    row 3 does not hold around the speed this gear gives; a torque other than one on the way from
-    the engine's own to none, or on to the one that changes the engine's speed as it changes, with
-    which the clutch carries nothing, before the clutch opens; any other control."""
+    row 3 does not hold around the speed this gear gives; a torque other than one between the
+    engine's own as the request began and none, or on to the one that changes the engine's speed as
+    it changes, with which the clutch carries nothing, before the clutch opens; any other
+    control."""
     mode, wanted, _ = case.engine
     if mode == NO_OVERRIDE:
         return False
@@ -162,15 +166,17 @@ def engine_beyond_the_gear(case: DrivelineCase) -> bool:
 
 
 def _takes_torque_away(case: DrivelineCase) -> bool:
-    """Whether the torque asked for lies between what is left of the engine's own and none, or
-    beyond none no further than what the clutch carries then: with none asked for it has to turn the
-    engine as the vehicle slows down or speeds up. And this for no longer than ramp and clutch may
-    take."""
-    now = case.seen.engine_torque_share
-    if now is None or not case.seen.valid or case.state.torque_us > case.limits.torque_away_us:
+    """Whether the torque asked for lies between the engine's own as the request began and none: on
+    the way shafts may need some of it once more to come to rest. Or beyond none no further than
+    what the clutch carries then: with none asked for it has to turn the engine as the vehicle slows
+    down or speeds up. And this for no longer than ramp and clutch may take."""
+    own, is_known = case.state.own_share, case.seen.engine_torque_share is not None
+    if own is None or not is_known or not case.seen.valid:
         return False
-    turning, own = _turning_share(case), case.state.own_share
-    low, high = min(max(now, own[0]), 0.0, turning[0]), max(min(now, own[1]), 0.0, turning[1])
+    if case.state.torque_us > case.limits.torque_away_us:
+        return False
+    turning = _turning_share(case)
+    low, high = min(own[0], turning[0]), max(own[1], turning[1])
     return low - TORQUE_NOISE <= case.engine.torque_share <= high + TORQUE_NOISE
 
 
@@ -247,22 +253,24 @@ class DrivelineGuard:
         """Whether the engine request may go out; where not, the request has to be ended."""
         self._note_engine(seen)
         wish = decode_engine(payload)
+        self._note_request(wish.mode == TORQUE_CONTROL, seen.engine_torque_share)
         case = DrivelineCase(seen, self._state, self._limits, wish)
         self.blocked_row = self._judge(ENGINE_ROWS, case)
         if seen.valid and seen.clutch_closed <= self._limits.clutch_open_share:
-            self._state.torque_us = 0
-            self._state.own_share = (-math.inf, math.inf)
+            self._state.torque_us, self._state.takes_away, self._state.own_share = 0, False, None
         elif wish.mode == TORQUE_CONTROL:
             self._state.torque_us += self._limits.tick_us
-            self._note_torque(seen.engine_torque_share)
         return self.blocked_row is None
 
-    def _note_torque(self, share: float | None) -> None:
-        """What has been taken away is not given back: bit by bit, with what the signal's steps
-        allow, it could come to any torque."""
-        if share is not None:
-            low, high = self._state.own_share
-            self._state.own_share = max(low, min(share, 0.0)), min(high, max(share, 0.0))
+    def _note_request(self, takes_away: bool, share: float | None) -> None:
+        """The engine's torque as a request for torque begins. One that begins anew before the
+        plates have parted gives no more back than what was left then: bit by bit, with what the
+        signal's steps allow, it could come to any torque."""
+        state = self._state
+        if takes_away and not state.takes_away and share is not None:
+            low, high = state.own_share or (-math.inf, math.inf)
+            state.own_share = max(low, min(share, 0.0)), min(high, max(share, 0.0))
+        state.takes_away = takes_away and (state.takes_away or share is not None)
 
     def _note_engine(self, seen: GuardInputs) -> None:
         """The speed at each step of a request; anew after a pause."""

@@ -14,8 +14,8 @@ from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
-from meshpoint.controller.shift.driveline_measurement import DrivelineMeasurement
 from meshpoint.controller.shift.kiss_point import KissPoint
+from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
@@ -80,7 +80,7 @@ class ShiftContext:
         self.engine_share: float | None = None
         """The torque the engine is asked for, as a share of its reference torque; None: none."""
         self.torque = TorqueFall()
-        self.driveline = DrivelineMeasurement(sheet)
+        self.rings = DrivelineRings(sheet)
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.gearbox import MainGear
+from meshpoint.gearbox import GearboxSheet, MainGear
 
 RINGS_RAD_S: Final = 0.25
 """Standard deviation of the main shaft's speed about a straight line above which it rings (2.4 rpm,
@@ -23,9 +23,11 @@ class DrivelineRings:
     """Learned from the main shaft's speed in neutral, from when the old gear is out until the
     sleeve is fired for the new one."""
 
-    def __init__(self) -> None:
+    def __init__(self, sheet: GearboxSheet) -> None:
         self.twists = False
-        """Whether the driveline has been seen to ring. What once did twists for good."""
+        """Whether shafts between engine and road are known to twist: seen to ring, and by how much
+        the sheet says. What once did twists for good."""
+        self._is_told = sheet.driveline.stiffness_nm_rad > 0.0
         self._measurements: list[tuple[int, float]] = []
 
     def measure(self, state: State, snapshot: StepSnapshot) -> None:
@@ -36,7 +38,7 @@ class DrivelineRings:
             self._measurements.append((snapshot.now_us, main))
             return
         if len(self._measurements) >= LEAST_MEASUREMENTS and not self.twists:
-            self.twists = self._swing_rad_s() > RINGS_RAD_S
+            self.twists = self._is_told and self._swing_rad_s() > RINGS_RAD_S
         self._measurements.clear()
 
     def _swing_rad_s(self) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
+from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import GearboxView
@@ -52,6 +53,8 @@ class StepSnapshot:
     """Whether the guard's self-test is passed: before that it lets no valve be driven."""
     more_lead_us: int = 0
     """By how much more than set an activation is sent ahead, since one was refused."""
+    loaded: LoadedDriveline | None = None
+    """The driveline with a gear in mesh; None: nobody follows it."""
 
     @property
     def at_once_us(self) -> int:

@@ -7,7 +7,6 @@ from enum import IntEnum, auto
 from typing import Final
 
 from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.shift.unloading import Unloading
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
 from meshpoint.gearbox import DriveGear, Range, Split
@@ -146,8 +145,10 @@ class ShiftRecord:
     """Where splitter and range stood when their change began."""
     blocks: int = 0
     """How often the guard has blocked what was commanded."""
-    unloading: Unloading | None = None
-    """How the engine's torque is taken away; None: at once."""
+    own_nm: float | None = None
+    """The engine's torque before it was taken away as a plan says; None: it was not."""
+    unloads_in: int | None = None
+    """The steps until the plates part, as the last step planned."""
     owed_share: float = 0.0
     """What rounding has left out of the torque asked for."""
     pulls: int = 0

@@ -13,11 +13,14 @@ class TorqueFall:
     def __init__(self) -> None:
         self._newest: tuple[int, float] | None = None
         self._before: tuple[int, float] | None = None
+        self.step = 0.01
+        """The engine says it in steps of this share of its reference torque."""
 
-    def take(self, now_us: int, share: float | None) -> None:
-        """One step's torque, as a share of the engine's reference torque; None: nothing new."""
+    def take(self, now_us: int, share: float | None, step: float = 0.01) -> None:
+        """One step's torque, as a share of the engine's reference torque, None: nothing new; and in
+        which steps it is said."""
         if share is not None:
-            self._before, self._newest = self._newest, (now_us, share)
+            self._before, self._newest, self.step = self._newest, (now_us, share), step
 
     @property
     def share(self) -> float | None:

@@ -3,7 +3,6 @@ bit, and what it begins with."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
@@ -44,8 +43,7 @@ def speed(rad_s: float) -> EngineWish:
 
 
 def test_what_is_known_before_anything_was_seen() -> None:
-    no_share = (-math.inf, math.inf)
-    nothing = DrivelineState(False, False, 0.0, (), None, own_share=no_share, torque_us=0)
+    nothing = DrivelineState(False, False, 0.0, (), None, own_share=None, torque_us=0)
     assert DrivelineState() == nothing
     assert case().engine == EngineWish(NO_OVERRIDE, 0.0) == (NO_OVERRIDE, 0.0, 0.0)
     guard = DrivelineGuard(LIMITS)
@@ -120,8 +118,10 @@ def test_row_14_torque_exactly_at_its_limits(now: float) -> None:
         (least, False), (least - 1e-9, True), (most, False), (most + 1e-9, True)
     ):  # fmt: skip
         wish = EngineWish(TORQUE_CONTROL, 0.0, share)
-        judged = case(wish, engine_torque_share=now)
+        known = DrivelineState(own_share=(min(now, 0.0), max(now, 0.0)))
+        judged = case(wish, engine_torque_share=0.1 * now)._replace(state=known)
         assert engine_beyond_the_gear(judged) is is_beyond
+        assert engine_beyond_the_gear(case(wish, engine_torque_share=now))  # as no request began
 
 
 def test_row_15_exactly_at_its_limit() -> None:

@@ -3,20 +3,24 @@ engine is taken to change its speed, and what of its torque may still be asked f
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import pytest
 from test_guard_driveline import IN_GEAR, LIMITS, NOW, torque
 
 from meshpoint.controller.guard.driveline import (
+    TORQUE_NOISE,
     DrivelineCase,
     DrivelineGuard,
     DrivelineState,
     _turning_share,
 )
+from meshpoint.dbc.link import Transmitter
+from meshpoint.dbc.messages import TSC1
+from meshpoint.dbc.node import Node
 
 TICK_US = LIMITS.tick_us
+END = Transmitter(Node.TRANSMISSION_CONTROL).encode(TSC1()).data
 PULLS = IN_GEAR._replace(clutch_closed=1.0)
 SHARE = LIMITS.engine_share_s2
 
@@ -90,14 +94,37 @@ def test_without_a_speed_there_is_no_trajectory() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_what_has_been_taken_away_is_not_given_back(sign: float) -> None:
+def test_up_to_the_engines_own_torque_some_may_be_given_back(sign: float) -> None:
+    """While the request lasts: shafts that swing may need it. Never more than the engine gave."""
     guard = DrivelineGuard(LIMITS)
-    for share, left in ((0.4, 0.4), (0.2, 0.2), (None, 0.2), (0.3, 0.2), (-0.1, 0.0)):
-        guard._note_torque(None if share is None else sign * share)
-        low, high = guard._state.own_share
-        assert (low, high)[sign > 0.0] == sign * left
-    other = (low, high)[sign < 0.0]
-    assert other == 0.0  # the other way it never had any
+    for share, asked, passes in (
+        (0.4, 0.4, True), (0.3, 0.0, True), (0.1, 0.4, True), (0.2, 0.43, False), (0.6, 0.43, False)
+    ):  # fmt: skip
+        seen = PULLS._replace(engine_torque_share=sign * share)
+        assert guard.passes_engine(torque(sign * asked), seen) is passes
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_request_that_begins_anew_gives_back_no_more_than_was_left(sign: float) -> None:
+    """However often it ends and begins: with what the signal's steps allow each time, it could
+    come to any torque."""
+    guard, given = DrivelineGuard(LIMITS), 0.2
+    for _ in range(20):
+        seen = PULLS._replace(engine_torque_share=sign * given)
+        if guard.passes_engine(torque(sign * (given + 0.01)), seen):
+            given += 0.01
+        assert guard.passes_engine(END, seen)
+    assert given < 0.2 + TORQUE_NOISE
+    assert guard.passes_engine(torque(0.0), PULLS._replace(engine_torque_share=sign * 0.1))
+    assert not guard.passes_engine(torque(sign * 0.2), PULLS._replace(engine_torque_share=0.2))
+
+
+def test_a_torque_that_nobody_says_is_no_bound() -> None:
+    """Red where what is asked for is measured by a torque that was said before."""
+    guard, unknown = DrivelineGuard(LIMITS), PULLS._replace(engine_torque_share=None)
+    assert not guard.passes_engine(torque(0.0), unknown)
+    assert guard.passes_engine(torque(0.2), PULLS._replace(engine_torque_share=0.2))
+    assert not guard.passes_engine(torque(0.0), unknown)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -110,5 +137,4 @@ def test_a_new_shift_begins_with_the_engines_own_torque(sign: float) -> None:
     guard.passes_engine(torque(0.0), apart._replace(valid=False))  # not seen to be
     assert not guard.passes_engine(torque(0.4 * sign), pulls)
     guard.passes_engine(torque(0.0), apart)
-    assert guard._state.own_share == (-math.inf, math.inf)
     assert guard.passes_engine(torque(0.4 * sign), pulls)

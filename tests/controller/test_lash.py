@@ -314,14 +314,13 @@ def test_the_vehicle_s_trajectory_is_what_the_shaft_swings_about_in_gear() -> No
     angle = 24.0 + 60.0 * seconds - 2.5 * seconds**2 + swing
     for first in range(0, 400, 10):
         watch.take_in_gear(np.array((times, angle))[:, first : first + 10])
-    watch.released(400e3, -80.0)
+    watch.released(400e3)
     later = 400e3 + 1e3 * np.arange(1, 20)
     out = np.array((later, 24.0 + 61e-6 * (later - 400e3)))
     start = watch.take_out(out, VEHICLE_SDS)
     assert start is not None
     assert start.vehicle_rad_s == pytest.approx(60.0, abs=0.3)
     assert start.hill_rad_s2 == pytest.approx(-5.0, abs=2.0)
-    assert start.pressed_nm == -80.0
     assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
     watch.take_vehicle(VehicleTrajectory(500e3, 59.0, -4.0, np.diag((0.01, 1.0))))
     watch.released(600e3)
@@ -347,18 +346,8 @@ def test_the_vehicle_s_trajectory_is_as_sure_as_it_says() -> None:
     assert ((np.abs(off) < 2.0).mean(axis=0) > 0.85).all()
 
 
-@pytest.mark.parametrize(("pressed_nm", "place"), [(250.0, 2.0), (-250.0, 0.0)])
-def test_most_of_a_first_cloud_is_at_the_flank_that_was_pressed_on(
-    pressed_nm: float, place: float
-) -> None:
-    """With the tyres wound up as the shafts are, so that nothing moves yet."""
-    pressed = math.copysign(1.0, pressed_nm)
+def test_a_first_cloud_lies_anywhere_in_the_backlash() -> None:
     lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
-    x = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0, pressed_nm=pressed_nm))
-    beyond = pressed * (x[WAY] - place * x[HALF])
-    at_flank = (beyond >= 0.0) & (x[TYRE] * pressed > -0.02)
-    assert 0.6 < at_flank.mean() < 0.8
-    assert np.quantile(beyond, 0.9) > 2.0 * np.quantile(beyond, 0.5) > 0.0
     anywhere = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0))
     share = anywhere[WAY] / anywhere[HALF]
     assert np.histogram(share, 4, (-0.15, 2.15))[0] == pytest.approx(625, abs=20)

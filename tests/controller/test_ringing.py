@@ -10,7 +10,7 @@ import pytest
 
 from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.gearbox import MainGear
+from meshpoint.gearbox import MainGear, load_sheet
 
 STEP_US = 10_000
 
@@ -27,7 +27,7 @@ def measurement(rings: DrivelineRings, state: State, now_us: int, main_rad_s: fl
 
 def seen(swing_rad_s: float, measurements: int = 20) -> bool:
     """A shift in which the shaft slows evenly, and swings with 8 Hz about that."""
-    rings = DrivelineRings()
+    rings = DrivelineRings(load_sheet("truck12"))
     for step in range(measurements):
         swing = swing_rad_s * math.sin(2.0 * math.pi * 8.0 * step * STEP_US * 1e-6)
         measurement(rings, State.SYNCHRONISING, step * STEP_US, 60.0 - 0.04 * step + swing)
@@ -46,7 +46,7 @@ def test_too_few_measurements_tell_nothing() -> None:
 
 
 def test_what_once_twisted_twists_for_good() -> None:
-    rings = DrivelineRings()
+    rings = DrivelineRings(load_sheet("truck12"))
     for shift, swing in enumerate((2.0, 0.0)):
         for step in range(10):
             speed = 60.0 + swing * (-1.0) ** step
