@@ -67,17 +67,10 @@ class Twist:
         gear /= f.geared_kgm2
         wheels = (self.shafts_nm - self.tyres_nm) / f.wheels_kgm2
         vehicle = f.vehicle_inverse * self.tyres_nm + f.hill_rad_s2 * unit[ONE]
-        self.gear_rad_s2: Vector = gear
-        """Times a state: how fast engine and gearbox accelerate."""
         follows = -unit[ENGINE] / f.lag_s
         self._rates = np.array(
             (gear - wheels, unit[SLIP], wheels - vehicle, twisting, follows, np.zeros(STATES))
         )
-
-    @property
-    def ratio(self) -> float:
-        """The engine's speed over the propeller shaft's."""
-        return self._figures.ratio
 
     @property
     def coasting_nm(self) -> float:

@@ -89,7 +89,12 @@ class ShiftSequence(ShiftContext):
             # Forgotten once over: a sensor clock that restarts may come by that time again.
             self.ended_us = None
         self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
-        self.torque.take(snapshot.now_us, snapshot.engine_torque_share, snapshot.engine_torque_step)
+        self.torque.take(
+            snapshot.now_us,
+            snapshot.engine_torque_share,
+            snapshot.engine_torque_step,
+            snapshot.engine_rad_s,
+        )
         self.rings.measure(self.state, snapshot)
         if self.engine_share is not None and not self.engine_carries(snapshot):
             self.engine_share = None

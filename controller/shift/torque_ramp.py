@@ -57,27 +57,21 @@ def _unload(context: ShiftContext, snapshot: StepSnapshot, twist: Twist, parting
     least = max(1, math.floor(parting_s / step_s))
     plan = unload(twist, shift.own_nm, step_s, least, shift.unloads_in)
     shift.unloads_in = plan.steps
-    _ask(context, plan.torque_nm, _turning_nm(context, twist))
+    _ask(context, plan.torque_nm)
     return plan.steps <= least
 
 
-def _turning_nm(context: ShiftContext, twist: Twist) -> float:
-    """The torque that the engine needs to change its speed as it does."""
-    geared_rad_s2 = float(twist.gear_rad_s2 @ twist.state)
-    return context.sheet.engine.inertia_kgm2 * twist.ratio * geared_rad_s2
-
-
-def _ask(context: ShiftContext, torque_nm: float, turning_nm: float) -> None:
+def _ask(context: ShiftContext, torque_nm: float) -> None:
     """Asks for a torque. Beyond none only as far as the engine needs to change its speed: more
     would load the clutch anew, and row 14 of the guard forbids it.
 
     TSC1 says it in the steps in which EEC1 does: what rounding leaves out is asked for with the
     next frames."""
-    shift, step = context.running, context.torque.step
-    own_nm = shift.own_nm or 0.0
-    beside_nm = BESIDE_SHARE * context.sheet.engine.reference_nm
+    engine, shift, step = context.sheet.engine, context.running, context.torque.step
+    own_nm, beside_nm = shift.own_nm or 0.0, BESIDE_SHARE * engine.reference_nm
+    turning_nm = engine.inertia_kgm2 * context.torque.engine_rad_s2
     low_nm, high_nm = min(own_nm, 0.0, turning_nm), max(own_nm, 0.0, turning_nm)
     wanted_nm = min(max(torque_nm, low_nm - beside_nm), high_nm + beside_nm)
-    owed = wanted_nm / context.sheet.engine.reference_nm + shift.owed_share
+    owed = wanted_nm / engine.reference_nm + shift.owed_share
     context.engine_share = step * round(owed / step)
     shift.owed_share = owed - context.engine_share
