@@ -80,13 +80,13 @@ class Twist:
         coasting_rad_s2 = f.hill_rad_s2 / (1.0 + f.wheels_kgm2 * f.vehicle_inverse)
         return (f.geared_kgm2 * coasting_rad_s2 - f.constant_nm) / f.ratio
 
-    def within(self, seconds: float) -> tuple[Vector, Vector]:
-        """A state after so long is (6, 6) times the state, plus (6,) times the torque that was
-        asked for (Van Loan 1978)."""
+    def within(self, seconds: float) -> Vector:
+        """(7, 7): times the state and, below it, the torque (Nm) asked for, gives both after
+        so long (Van Loan 1978)."""
         whole = np.zeros((STATES + 1, STATES + 1))
         whole[:STATES, :STATES], whole[ENGINE, STATES] = self._rates, 1.0 / self._figures.lag_s
-        moved = expm(seconds * whole)
-        return moved[:STATES, :STATES], moved[:STATES, STATES]
+        moved: Vector = expm(seconds * whole)
+        return moved
 
     @property
     def left_nm(self) -> Vector:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 
 from meshpoint.controller.motion.twist import Twist
 from meshpoint.kernels.records import Vector
@@ -29,6 +29,7 @@ MS_PER_NM: Final = 2.0
 """What is left in the shafts costs as much as a shift that takes so much longer (decision 0036)."""
 QUIET: Final = 1e-2
 """Nm left, for a Nm that is asked for beyond coasting: of equal plans the quieter one."""
+HEAVY: Final = 1e3
 
 
 class Unloading(NamedTuple):
@@ -69,14 +70,15 @@ class _Paths:
     """Where the driveline goes by itself, and what a torque asked for adds."""
 
     def __init__(self, twist: Twist, step_s: float, most: int) -> None:
-        moves, asked = twist.within(step_s)
-        free, added = [twist.state], [np.zeros_like(asked)]
-        for _ in range(most):
-            free.append(moves @ free[-1])
-            added.append(moves @ added[-1] + asked)
-        self.free: Vector = np.array(free) @ twist.left_nm.T
+        moves = twist.within(step_s)
+        paths = np.zeros((most + 1, len(moves), 2))
+        paths[0, :-1, 0], paths[0, -1, 1] = twist.state, 1.0
+        for k in range(most):
+            paths[k + 1] = moves @ paths[k]
+        left = twist.left_nm @ paths[:, :-1]
+        self.free: Vector = left[:, :, 0]
         """What is left after so many steps without a torque asked for (n, 5)."""
-        self.added: Vector = np.array(added) @ twist.left_nm.T
+        self.added: Vector = left[:, :, 1]
         """What one adds for each Nm asked for in all of them (n, 5)."""
 
 
@@ -84,14 +86,26 @@ def _plan(paths: _Paths, steps: int, low: float, high: float, coasting_nm: float
     """The torques, each for a share of the steps, that leave least."""
     ends = steps - np.unique(np.linspace(0, steps, min(PIECES, steps) + 1).round().astype(int))
     adds = (paths.added[ends[:-1]] - paths.added[ends[1:]]).T
-    pieces = adds.shape[1]
     coasts = paths.free[steps] + coasting_nm * paths.added[steps]
-    found = lsq_linear(
-        np.vstack((adds, QUIET * np.eye(pieces))),
-        np.concatenate((-coasts, np.zeros(pieces))),
-        (low - coasting_nm - 1e-6, high - coasting_nm + 1e-6),
-        method="bvls",
-    ).x
+    found = _least(adds, coasts, low - coasting_nm, high - coasting_nm)
     return Unloading(
         coasting_nm + float(found[0]), steps, float(np.linalg.norm(coasts + adds @ found))
     )
+
+
+def _least(adds: Vector, coasts: Vector, low: float, high: float) -> Vector:
+    """The x within low and high that makes |adds x + coasts| least: non-negative least squares
+    (Lawson and Hanson 1974) for x - low and high - x, whose sum is held by heavy rows."""
+    rows, pieces = adds.shape
+    heavy = HEAVY * float(np.abs(adds).max())
+    unit = np.eye(pieces)
+    whole = np.zeros((rows + 2 * pieces, 2 * pieces))
+    whole[:rows, :pieces], whole[rows:-pieces, :pieces] = adds, QUIET * unit
+    whole[-pieces:, :pieces] = whole[-pieces:, pieces:] = heavy * unit
+    wanted = np.concatenate((
+        -coasts - low * adds.sum(axis=1),
+        np.full(pieces, -QUIET * low),
+        np.full(pieces, heavy * (high - low)),
+    ))  # fmt: skip
+    found: Vector = np.clip(low + nnls(whole, wanted)[0][:pieces], low, high)
+    return found
