@@ -35,10 +35,10 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     left = context.torque.left_in(parting_s)
     if left is None:
         return True  # an engine that does not say how far it is cannot be waited for
-    if context.rings.twists and limits.swing_ramp_ms > 0:
-        twist = None if snapshot.loaded is None else snapshot.loaded.twist(snapshot.now_us)
-        if twist is not None:
-            is_over = _unload(context, snapshot, twist, parting_s)
+    if context.rings.twists and limits.swing_ramp_ms > 0 and snapshot.loaded is not None:
+        twist = snapshot.loaded.twist(snapshot.now_us)
+        is_over = None if twist is None else _unload(context, snapshot, twist, parting_s)
+        if is_over is not None:
             return is_over or context.late(snapshot, limits.swing_ramp_ms)
     context.engine_share = 0.0
     if abs(left) <= limits.torque_left_share:
@@ -46,8 +46,10 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return context.late(snapshot, limits.ramp_ms)
 
 
-def _unload(context: ShiftContext, snapshot: StepSnapshot, twist: Twist, parting_s: float) -> bool:
-    """Asks for what the plan says; returns whether the clutch may set off."""
+def _unload(
+    context: ShiftContext, snapshot: StepSnapshot, twist: Twist, parting_s: float
+) -> bool | None:
+    """Asks for what the plan says; returns whether the clutch may set off, None without a plan."""
     shift, step_s = context.running, context.tick_us * US
     own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
     if shift.own_nm is None:
@@ -56,6 +58,8 @@ def _unload(context: ShiftContext, snapshot: StepSnapshot, twist: Twist, parting
         parting_s -= (snapshot.now_us - shift.clutch_us) / SECOND_US
     least = max(1, math.floor(parting_s / step_s))
     plan = unload(twist, shift.own_nm, step_s, least, shift.unloads_in)
+    if plan is None:
+        return None
     shift.unloads_in = plan.steps
     _ask(context, plan.torque_nm)
     return plan.steps <= least

@@ -30,6 +30,8 @@ MS_PER_NM: Final = 2.0
 QUIET: Final = 1e-2
 """Nm left, for a Nm that is asked for beyond coasting: of equal plans the quieter one."""
 HEAVY: Final = 1e3
+MOST_NM: Final = 1e9
+"""No driveline carries that."""
 
 
 class Unloading(NamedTuple):
@@ -42,14 +44,18 @@ class Unloading(NamedTuple):
     """What stays in the driveline then, as a torque of the shafts."""
 
 
-def unload(twist: Twist, own_nm: float, step_s: float, least: int, before: int | None) -> Unloading:
-    """The plan from here on. own_nm: the engine's torque before any of it was taken away; least:
-    the steps that the clutch takes until its plates part; before: those which the step before has
-    planned until then."""
+def unload(
+    twist: Twist, own_nm: float, step_s: float, least: int, before: int | None
+) -> Unloading | None:
+    """The plan from here on; None where the driveline's figures lead nowhere finite. own_nm: the
+    engine's torque before any of it was taken away; least: the steps that the clutch takes until
+    its plates part; before: those which the step before has planned until then."""
     later = {least + more for more in LATER} if before is None else {least}
     if before is not None:
         later |= {max(least, before + more) for more in NEAR}
     paths = _Paths(twist, step_s, max(later))
+    if not np.abs(paths.left).max() < MOST_NM:
+        return None
     coasting_nm = twist.coasting_nm
     low, high = min(own_nm, coasting_nm), max(own_nm, coasting_nm)
     found, least_ms = None, np.inf
@@ -61,8 +67,6 @@ def unload(twist: Twist, own_nm: float, step_s: float, least: int, before: int |
         cost_ms = waits_ms + MS_PER_NM * plan.left_nm
         if cost_ms < least_ms:
             found, least_ms = plan, cost_ms
-    if found is None:
-        raise ValueError("the driveline's state is no number")
     return found
 
 
@@ -75,10 +79,10 @@ class _Paths:
         paths[0, :-1, 0], paths[0, -1, 1] = twist.state, 1.0
         for k in range(most):
             paths[k + 1] = moves @ paths[k]
-        left = twist.left_nm @ paths[:, :-1]
-        self.free: Vector = left[:, :, 0]
+        self.left: Vector = twist.left_nm @ paths[:, :-1]
+        self.free = self.left[:, :, 0]
         """What is left after so many steps without a torque asked for (n, 5)."""
-        self.added: Vector = left[:, :, 1]
+        self.added = self.left[:, :, 1]
         """What one adds for each Nm asked for in all of them (n, 5)."""
 
 
@@ -107,5 +111,9 @@ def _least(adds: Vector, coasts: Vector, low: float, high: float) -> Vector:
         np.full(pieces, -QUIET * low),
         np.full(pieces, heavy * (high - low)),
     ))  # fmt: skip
-    found: Vector = np.clip(low + nnls(whole, wanted)[0][:pieces], low, high)
+    try:
+        above: Vector = nnls(whole, wanted)[0][:pieces]
+    except RuntimeError:  # it goes round in circles
+        above = np.full(pieces, -low)
+    found: Vector = np.clip(low + above, low, high)
     return found

@@ -32,6 +32,8 @@ from meshpoint.controller.estimation.loaded_kernels import (
     beyond_flanks,
     loaded_ahead,
 )
+from meshpoint.controller.motion.twist import CREEP as TWIST_CREEP
+from meshpoint.controller.motion.twist import TYRE as TWIST_TYRE
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.kernels.records import Vector, filled
@@ -207,11 +209,15 @@ def driven(number: int, seed: int, leaps: bool = False, seconds: float = 1.6) ->
     return Drive(steps, end_us, true)
 
 
-def followed(drive: Drive, number: int) -> BehindState | None:
+def follow(drive: Drive, number: int) -> LoadedDriveline:
     loaded = LoadedDriveline(SHEET)
     for layshaft, main, load in drive.steps:
         loaded.take(DRIVE_GEARS[number], layshaft, main, load, SHAFTS)
-    return loaded.behind(drive.end_us)
+    return loaded
+
+
+def followed(drive: Drive, number: int) -> BehindState | None:
+    return follow(drive, number).behind(drive.end_us)
 
 
 @pytest.mark.parametrize("number", [1, 3, 5, 9])
@@ -230,6 +236,33 @@ def test_of_a_truck_that_was_driven_the_vehicle_is_known_and_how_well(number: in
     twist, _, _, vehicle, hill = np.median(off, axis=0)
     assert vehicle < 0.05 and hill < 0.5
     assert twist * SHAFTS.stiffness_nm_rad < 100.0
+
+
+@pytest.mark.parametrize("number", [1, 5, 9])
+def test_what_shafts_and_tyres_carry_is_known_while_a_torque_is_taken_away(number: int) -> None:
+    """After 0.9 s, between the two steps: the shafts swing by hundreds of Nm."""
+    off = []
+    for seed in range(8):
+        drive = driven(number, seed, seconds=0.9)
+        twist = follow(drive, number).twist(drive.end_us)
+        assert twist is not None
+        place, wheels, tyre, vehicle, _ = drive.true
+        beyond = place - min(max(place, -SHAFTS.half_lash_rad), SHAFTS.half_lash_rad)
+        shafts = twist.shafts_nm @ twist.state - SHAFTS.stiffness_nm_rad * beyond
+        creep = twist.state[TWIST_CREEP] - (wheels - vehicle)
+        off.append((shafts, AXLE.tyre_nm_rad * (twist.state[TWIST_TYRE] - tyre), creep))
+    shafts_nm, tyres_nm, creep_rad_s = np.median(np.abs(off), axis=0)
+    assert shafts_nm < 100.0 and tyres_nm < 100.0
+    assert creep_rad_s < 0.05
+
+
+def test_without_a_clutch_that_carries_there_is_nothing_to_take_away() -> None:
+    drive = driven(5, 0)
+    loaded = follow(drive, 5)
+    layshaft, main, load = drive.steps[-1]
+    late = np.array([[10e3], [0.0]])
+    loaded.take(DRIVE_GEARS[5], layshaft + late, main + late, load._replace(carries=False), SHAFTS)
+    assert loaded.twist(drive.end_us + 10e3) is None
 
 
 def test_a_tooth_that_crosses_its_backlash_is_no_torque() -> None:

@@ -83,6 +83,7 @@ def unloaded(f: TwistFigures, y: Vector, off: float = 1.0) -> tuple[float, float
         at = state_of(y)
         at[TWIST] *= off  # the torque is what was measured
         plan = unload(Twist(told, at), own_nm, STEP_S, LEAST, before)
+        assert plan is not None
         before = steps = plan.steps
         asked.append(plan.torque_nm)
         y = run(f, y, plan.torque_nm, STEP_S)
@@ -91,6 +92,7 @@ def unloaded(f: TwistFigures, y: Vector, off: float = 1.0) -> tuple[float, float
         at = state_of(y)
         at[TWIST] *= off
         plan = unload(Twist(told, at), own_nm, STEP_S, least, least)
+        assert plan is not None
         asked.append(plan.torque_nm)
         y = run(f, y, plan.torque_nm, STEP_S)
     return begun_s, float(f.shaft_nm_rad * y[1]), asked
@@ -158,6 +160,16 @@ def test_whatever_the_state_nothing_beyond_its_bounds_is_asked_for(
     state = np.array((slip, twist, 0.0, 0.0, engine_nm, 1.0))
     driveline = Twist(FIRST, state)
     plan = unload(driveline, own_nm, STEP_S, least, None)
+    assert plan is not None
     low, high = sorted((own_nm, driveline.coasting_nm))
     assert low - 1e-3 <= plan.torque_nm <= high + 1e-3
     assert plan.steps >= least
+
+
+@pytest.mark.parametrize("row", [SLIP, TWIST, TYRE, ENGINE])
+@pytest.mark.parametrize("wild", [math.nan, math.inf, -1e300, 1e30])
+def test_a_driveline_that_cannot_be_has_no_plan(row: int, wild: float) -> None:
+    state = np.array((0.0, 0.0, 0.0, 0.0, 100.0, 1.0))
+    state[row] = wild
+    with np.errstate(all="ignore"):
+        assert unload(Twist(FIRST, state), 100.0, STEP_S, LEAST, None) is None
