@@ -19,14 +19,14 @@ from scipy.optimize import nnls
 from meshpoint.controller.motion.twist import Twist
 from meshpoint.kernels.records import Vector
 
-LATER: Final = (0, 1, 2, 4, 7, 11, 17, 26, 40, 60)
+LATER: Final = (0, 1, 2, 4, 7, 11, 17, 25, 40, 60)
 """The plates part this many steps later than they could: tried from the first."""
 NEAR: Final = (-3, -2, -1, 0, 2)
 """About what the step before has planned."""
 PIECES: Final = 6
 """A plan asks for no more torques than this, one after the other."""
 MS_PER_NM: Final = 2.0
-"""What is left in the shafts costs as much as a shift that takes so much longer (decision 0036)."""
+"""What is left in the shafts costs as much as a shift that takes that much longer (decision 0036)."""
 QUIET: Final = 1e-2
 """Nm left, for a Nm that is asked for beyond coasting: of equal plans the quieter one."""
 HEAVY: Final = 1e3
@@ -81,7 +81,7 @@ class _Paths:
             paths[k + 1] = moves @ paths[k]
         self.left: Vector = twist.left_nm @ paths[:, :-1]
         self.free = self.left[:, :, 0]
-        """What is left after so many steps without a torque asked for (n, 5)."""
+        """What is left after n steps without a torque asked for (n, 5)."""
         self.added = self.left[:, :, 1]
         """What one adds for each Nm asked for in all of them (n, 5)."""
 
