@@ -169,7 +169,7 @@ class LoadedDriveline:
         gear: the one in mesh; None: none is, or it is not known."""
         if gear is None or layshaft.shape[1] < LEAST_EDGES or main.shape[1] < LEAST_EDGES:
             return
-        if gear is not self._gear:
+        if gear != self._gear:
             self._gear = gear
             self.lose()
         mesh = self._gears[gear]

@@ -3,6 +3,7 @@ by SciPy, and against trucks that are simulated with them."""
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import NamedTuple
 
@@ -298,6 +299,19 @@ def test_another_gear_and_lost_teeth_begin_anew() -> None:
     assert loaded.behind(drive.end_us) is not None
     loaded.lose()
     assert loaded.behind(drive.end_us) is None
+
+
+def test_a_copy_goes_on_as_the_one_it_was_made_of() -> None:
+    """Red before: a campaign's copies took the gear for another one and began anew."""
+    drive = driven(5, 0)
+    *before, (layshaft, main, load) = drive.steps
+    loaded = follow(drive._replace(steps=before), 5)
+    other = copy.deepcopy(loaded)
+    for one in (loaded, other):
+        one.take(DRIVE_GEARS[5], layshaft, main, load, SHAFTS)
+    expected, found = loaded.behind(drive.end_us), other.behind(drive.end_us)
+    assert expected is not None and found is not None
+    assert (found.mean == expected.mean).all()
 
 
 def test_edges_that_are_no_driveline_are_given_up() -> None:
