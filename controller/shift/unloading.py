@@ -26,7 +26,8 @@ NEAR: Final = (-3, -2, -1, 0, 2)
 PIECES: Final = 6
 """A plan asks for no more torques than this, one after the other."""
 MS_PER_NM: Final = 2.0
-"""What is left in the shafts costs as much as a shift that takes that much longer (decision 0036)."""
+"""What is left in the shafts costs as much as a shift that takes this much longer (docs/decisions,
+0036)."""
 QUIET: Final = 1e-2
 """Nm left, for a Nm that is asked for beyond coasting: of equal plans the quieter one."""
 HEAVY: Final = 1e3
