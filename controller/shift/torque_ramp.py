@@ -51,9 +51,8 @@ def _unload(
 ) -> bool | None:
     """Asks for what the plan says; returns whether the clutch may set off, None without a plan."""
     shift, step_s = context.running, context.tick_us * US
-    own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
     if shift.own_nm is None:
-        shift.own_nm = own_nm
+        shift.own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
     if shift.clutch_us is not None:
         parting_s -= (snapshot.now_us - shift.clutch_us) / SECOND_US
     least = max(1, math.floor(parting_s / step_s))
@@ -61,19 +60,20 @@ def _unload(
     if plan is None:
         return None
     shift.unloads_in = plan.steps
-    _ask(context, plan.torque_nm)
+    _ask(context, plan.torque_nm, shift.own_nm)
     return plan.steps <= least
 
 
-def _ask(context: ShiftContext, torque_nm: float) -> None:
-    """Asks for a torque. Beyond none only as far as the engine needs to change its speed: more
-    would load the clutch anew, and row 14 of the guard forbids it.
+def _ask(context: ShiftContext, torque_nm: float, own_nm: float) -> None:
+    """Asks for a torque. own_nm: the engine's own, before any was taken away. Beyond none only as
+    far as the engine needs to change its speed: more would load the clutch anew, and row 14 of the
+    guard forbids it.
 
     TSC1 says it in the steps in which EEC1 does: what rounding leaves out is asked for with the
     next frames."""
     engine, shift, step = context.sheet.engine, context.running, context.torque.step
-    own_nm, beside_nm = shift.own_nm or 0.0, BESIDE_SHARE * engine.reference_nm
     turning_nm = engine.inertia_kgm2 * context.torque.engine_rad_s2
+    beside_nm = BESIDE_SHARE * engine.reference_nm
     low_nm, high_nm = min(own_nm, 0.0, turning_nm), max(own_nm, 0.0, turning_nm)
     wanted_nm = min(max(torque_nm, low_nm - beside_nm), high_nm + beside_nm)
     owed = wanted_nm / engine.reference_nm + shift.owed_share

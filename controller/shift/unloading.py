@@ -31,6 +31,7 @@ MS_PER_NM: Final = 2.0
 QUIET: Final = 1e-2
 """Nm left, for a Nm that is asked for beyond coasting: of equal plans the quieter one."""
 HEAVY: Final = 1e3
+"""A row that holds a sum weighs this much more than the heaviest of the others."""
 MOST_NM: Final = 1e9
 """No driveline carries that."""
 
@@ -51,9 +52,10 @@ def unload(
     """The plan from here on; None where the driveline's figures lead nowhere finite. own_nm: the
     engine's torque before any of it was taken away; least: the steps that the clutch takes until
     its plates part; before: those which the step before has planned until then."""
-    later = {least + more for more in LATER} if before is None else {least}
-    if before is not None:
-        later |= {max(least, before + more) for more in NEAR}
+    if before is None:
+        later = {least + more for more in LATER}
+    else:
+        later = {least} | {max(least, before + more) for more in NEAR}
     paths = _Paths(twist, step_s, max(later))
     if not np.abs(paths.left).max() < MOST_NM:
         return None

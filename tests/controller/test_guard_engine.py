@@ -116,7 +116,8 @@ def test_a_request_that_begins_anew_gives_back_no_more_than_was_left(sign: float
         assert guard.passes_engine(END, seen)
     assert given < 0.2 + TORQUE_NOISE
     assert guard.passes_engine(torque(0.0), PULLS._replace(engine_torque_share=sign * 0.1))
-    assert not guard.passes_engine(torque(sign * 0.2), PULLS._replace(engine_torque_share=0.2))
+    regained = PULLS._replace(engine_torque_share=sign * 0.2)
+    assert not guard.passes_engine(torque(sign * 0.2), regained)
 
 
 def test_a_torque_that_nobody_says_is_no_bound() -> None:
