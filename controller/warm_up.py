@@ -39,6 +39,7 @@ from meshpoint.controller.planning import plan_kernels
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.shift.unloading import least_within
 from meshpoint.controller.sleeve import cylinder
 from meshpoint.kernels.records import WORD_BYTES, RecordMemory, filled
 from meshpoint.kernels.watch import uncollected
@@ -57,6 +58,7 @@ def warm_up(baselines: bool = False) -> None:
         if baselines:
             _warm_up_baselines()
         inverse_of_positive(np.eye(2))
+        least_within(np.eye(1), np.ones(1), 0.0, 1.0, np.ones(1))
 
 
 def _warm_up_baselines() -> None:
