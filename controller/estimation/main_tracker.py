@@ -112,16 +112,12 @@ class MainTracker(WheelTracker[SwingLesson]):
         self._take(batch, NO_PRESSURES, NO_SWITCHES, self._motion)
         if not self._free:
             self._in_gear.edges(batch)
-        if batch.time_us.size and self._running:
+        elif batch.time_us.size and self._running:
             self._follow_lash(self.placed)
 
     def _follow_lash(self, edges: Vector) -> None:
         """The cloud takes new edges, and both models say what comes next."""
-        before, lash = self._before, self._lashes[self._range]
-        if not self._free:
-            before.take_in_gear(edges)
-            return
-        tooth_rad, rivals = self.teeth.sd_rad, self._rivals[self._range]
+        before, lash, rivals = self._before, self._lashes[self._range], self._rivals[self._range]
         if not rivals.tries_lash:
             return
         if self._cloud is None:
@@ -129,7 +125,7 @@ class MainTracker(WheelTracker[SwingLesson]):
             if start is None:
                 return
             self._cloud, edges = LashCloud(lash, start, self.edge_time.value), before.waiting
-        self._cloud.take(edges, tooth_rad)
+        self._cloud.take(edges, self.teeth.sd_rad)
         rivals.judge(edges, self._half_gap_rad)
         state = self._filter
         asked = rivals.wants(state.time_us)

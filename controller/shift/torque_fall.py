@@ -11,6 +11,8 @@ from meshpoint.units import SECOND_US
 
 MEASUREMENTS: Final = 6
 """The engine's acceleration is that of its last 50 ms."""
+LONGEST_GAP_US: Final = 20_000
+"""Over a longer pause in what the engine says nobody knows what it did."""
 
 
 class TorqueFall:
@@ -29,6 +31,8 @@ class TorqueFall:
         """One step's torque, as a share of the engine's reference torque, None: nothing new; and in
         which steps it is said; and the engine's speed."""
         if speed_rad_s is not None:
+            if self._speeds and now_us - self._speeds[-1][0] > LONGEST_GAP_US:
+                self._speeds.clear()
             self._speeds.append((now_us, speed_rad_s))
         if share is not None:
             self._before, self._newest, self.step = self._newest, (now_us, share), step

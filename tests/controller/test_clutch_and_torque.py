@@ -180,3 +180,17 @@ def test_a_torque_that_nobody_says_is_none() -> None:
     fall.take(TICK_US, 0.3)
     fall.take(2 * TICK_US, None)
     assert fall.left_in(0.1) == 0.3
+
+
+def test_the_engines_acceleration_is_not_taken_over_a_pause() -> None:
+    """After a pause in what the engine says nobody knows what it did meanwhile: the guard, which
+    takes the speeds anew as well, would forbid what was asked for by it."""
+    fall = TorqueFall()
+    for k in range(6):
+        fall.take(k * TICK_US, 0.3, speed_rad_s=100.0 + k)
+    assert fall.engine_rad_s2 == pytest.approx(100.0)
+    for k in range(6):
+        fall.take(20 * TICK_US + k * TICK_US, 0.3, speed_rad_s=150.0 + 2.0 * k)
+        if k < 5:
+            assert fall.engine_rad_s2 == 0.0
+    assert fall.engine_rad_s2 == pytest.approx(200.0)

@@ -1,6 +1,5 @@
 """The figures of a driveline in its backlash: the sheet's as felt at the main shaft, how
-measurements and windows correct them, and the vehicle's trajectory; each against the formula of the
-textbook."""
+measurements and windows correct them; each against the formula of the textbook."""
 
 from __future__ import annotations
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import multivariate_normal
 
 from meshpoint.controller.estimation.lash import (
     LEAST_DRAG,
@@ -20,14 +18,6 @@ from meshpoint.controller.estimation.lash import (
     LashStart,
 )
 from meshpoint.controller.estimation.lash_cloud import MOST_OFF, correct
-from meshpoint.controller.estimation.lash_start import (
-    BROAD,
-    CHANGE_S,
-    EDGE_RAD,
-    SWING_S,
-    SWINGS_RAD,
-    vehicle_trajectory,
-)
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -42,7 +32,6 @@ from meshpoint.controller.motion.lash_motion import (
     WAY,
 )
 from meshpoint.gearbox.driveline import Axle
-from meshpoint.kernels.records import Vector
 
 AXLE, RATIO, BACKLASH_RAD, FACTOR = Axle(), 0.27, math.radians(2.0), 2.0
 TURNED_KGM2 = AXLE.main_kgm2 + AXLE.propeller_kgm2 * RATIO**2
@@ -140,42 +129,3 @@ def test_a_figure_that_is_no_number_teaches_nothing(figure: tuple[float, float])
     lash = a_lash()
     lash.learn(lambda row: figure)
     assert lash.known == a_lash().known
-
-
-def conditioned(waits: Vector, angles: Vector) -> tuple[Vector, Vector]:
-    """Speed and hill at time 0: angles, speed and hill as one normal law for each strength of the
-    swing, conditioned on the angles; strengths weighed by how likely they make these."""
-    line = np.polyfit(waits, angles, 1)
-    off = angles - np.polyval(line, waits)
-    basis = np.stack([np.ones_like(waits), waits, waits**2 / 2.0, waits**3 / 6.0], axis=1)
-    speed_sd, hill_sd = VEHICLE_SDS
-    prior = np.diag((BROAD, BROAD * speed_sd, hill_sd, hill_sd / CHANGE_S)) ** 2
-    lags = np.abs(np.subtract.outer(waits, waits)) * math.sqrt(3.0) / SWING_S
-    picked = np.eye(4)[1:3]
-    chances, means, spreads = [], [], []
-    for strength in SWINGS_RAD:
-        swing = strength**2 * (1.0 + lags) * np.exp(-lags)
-        seen = basis @ prior @ basis.T + swing + EDGE_RAD**2 * np.eye(waits.size)
-        both = picked @ prior @ basis.T
-        means.append(both @ np.linalg.solve(seen, off))
-        spreads.append(picked @ prior @ picked.T - both @ np.linalg.solve(seen, both.T))
-        chances.append(multivariate_normal(cov=seen, allow_singular=True).logpdf(off))
-    weights = np.exp(np.array(chances) - max(chances))
-    weights /= weights.sum()
-    mean = weights @ np.array(means)
-    apart = np.array(means) - mean
-    covariance = np.tensordot(weights, np.array(spreads), 1) + (apart.T * weights) @ apart
-    return mean + np.array((line[0], 0.0)), covariance + np.diag((speed_sd**2, 0.0))
-
-
-@pytest.mark.parametrize("swing_rad", [0.0, 0.02])
-def test_the_vehicle_s_trajectory_is_what_conditioning_on_the_angles_gives(
-    swing_rad: float,
-) -> None:
-    waits = np.arange(-0.3, 0.0, 0.012)
-    angles = 5.0 + 60.0 * waits - 3.0 * waits**2 + swing_rad * np.sin(40.0 * waits)
-    angles += 1e-3 * np.random.default_rng(3).standard_normal(waits.size)
-    found, covariance = vehicle_trajectory(waits, angles, VEHICLE_SDS)
-    expected, spread = conditioned(waits, angles)
-    assert found == pytest.approx(expected, rel=1e-5, abs=1e-4)
-    assert covariance == pytest.approx(spread, rel=1e-3, abs=1e-5)
