@@ -75,6 +75,8 @@ class LashCloud:
     def __init__(self, lash: Lash, start: LashStart, edge_time_s: float) -> None:
         self._lash, self._start = lash, start
         self._begin(start)
+        self._vehicle = self.mean(VEHICLE), self.mean(HILL)
+        """Speed and acceleration of the vehicle at the start."""
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
         """Times (us) and angles of the newest measurements."""
         self._model = lash.model(start.speed_rad_s)
@@ -101,7 +103,8 @@ class LashCloud:
         waits_s = (measurements[:, 0] - self.time_us) * US
         speed, angle = np.polyfit(waits_s, measurements[:, 1], 1).tolist()
         since_s = (self.time_us - start.time_us) * US
-        vehicle = start.vehicle_rad_s + start.hill_rad_s2 * since_s
+        vehicle_rad_s, hill_rad_s2 = self._vehicle
+        vehicle = vehicle_rad_s + hill_rad_s2 * since_s
         # Either the shaft swings so fast, or the vehicle's speed was wrong.
         speed_sd, hill_sd = self._lash.vehicle_sds
         self._begin(
@@ -110,6 +113,7 @@ class LashCloud:
                 angle_rad=angle,
                 speed_rad_s=speed,
                 vehicle_rad_s=vehicle,
+                hill_rad_s2=hill_rad_s2,
                 vehicle_root=np.diag((math.hypot(speed_sd, speed - vehicle), hill_sd)),
                 behind=None,
             )

@@ -209,6 +209,21 @@ def test_a_cloud_that_has_lost_the_driveline_finds_it_again() -> None:
     assert np.median(off) < HALF_GAP_RAD
 
 
+def test_a_cloud_that_begins_anew_keeps_the_vehicle_that_was_found_in_gear() -> None:
+    """The shaft springs out of its gear at 75 rad/s and is seen to turn at 60, as the vehicle was
+    found to go."""
+    lash = a_lash()
+    mean = RATIO * np.array((0.0, 60.0, 0.0, 60.0, 0.0))
+    behind = BehindState(mean, np.diag((0.01, 0.1, 1e-3, 0.1, 0.1)), RATIO * lash.known.half.value)
+    passed = EDGE_RAD / 2.0 * np.arange(1, 80)
+    cloud = LashCloud(lash, LashStart(0.0, 0.0, 75.0, 75.0, behind=behind), 1e-6)
+    cloud.take(np.array((passed / 60e-6, passed)), 1e-3)
+    assert cloud.mean(SPEED) == pytest.approx(60.0, abs=1.0)
+    vehicle = cloud.vehicle
+    assert vehicle.speed_rad_s == pytest.approx(60.0, abs=2.0)
+    assert math.sqrt(vehicle.covariance[0, 0]) < 3.0
+
+
 def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
     lash = a_lash()
     before = lash.known.half
