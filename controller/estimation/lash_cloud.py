@@ -73,10 +73,8 @@ class LashCloud:
     """The drivelines of one interval in neutral."""
 
     def __init__(self, lash: Lash, start: LashStart, edge_time_s: float) -> None:
-        self._lash, self._start = lash, start
+        self._lash = lash
         self._begin(start)
-        self._vehicle = self.mean(VEHICLE), self.mean(HILL)
-        """Speed and acceleration of the vehicle at the start."""
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
         """Times (us) and angles of the newest measurements."""
         self._model = lash.model(start.speed_rad_s)
@@ -85,6 +83,7 @@ class LashCloud:
         self._drawn = 0
         self.time_us = start.time_us
         """Up to here edges have been taken."""
+        self._at_start = self.vehicle
 
     def _begin(self, start: LashStart) -> None:
         self._x = self._lash.cloud(start)
@@ -99,23 +98,20 @@ class LashCloud:
     def _begin_anew(self) -> None:
         """From the newest measurements, wherever in the backlash: what was known of it has proved
         wrong (sensor resetting, Lenser and Veloso 2000)."""
-        measurements, start = np.array(self._recent), self._start
+        measurements, vehicle = np.array(self._recent), self._at_start.at(self.time_us)
         waits_s = (measurements[:, 0] - self.time_us) * US
         speed, angle = np.polyfit(waits_s, measurements[:, 1], 1).tolist()
-        since_s = (self.time_us - start.time_us) * US
-        vehicle_rad_s, hill_rad_s2 = self._vehicle
-        vehicle = vehicle_rad_s + hill_rad_s2 * since_s
         # Either the shaft swings so fast, or the vehicle's speed was wrong.
         speed_sd, hill_sd = self._lash.vehicle_sds
+        speed_sd = math.hypot(speed_sd, speed - vehicle.speed_rad_s)
         self._begin(
-            start._replace(
-                time_us=self.time_us,
-                angle_rad=angle,
-                speed_rad_s=speed,
-                vehicle_rad_s=vehicle,
-                hill_rad_s2=hill_rad_s2,
-                vehicle_root=np.diag((math.hypot(speed_sd, speed - vehicle), hill_sd)),
-                behind=None,
+            LashStart(
+                self.time_us,
+                angle,
+                speed,
+                vehicle.speed_rad_s,
+                vehicle.hill_rad_s2,
+                np.diag((speed_sd, hill_sd)),
             )
         )
 
