@@ -21,7 +21,13 @@ costs next to nothing. The packages:
 docs/decisions/0012-one-name.md says why three of them lie beside this folder in the repository.
 """
 
+import os
 from typing import TYPE_CHECKING, Any
+
+# All matrices here are small: a thread pool waits longer than they take, and two processes with a
+# pool each wait for each other. It must be said before numpy is loaded.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
     from meshpoint.api import (

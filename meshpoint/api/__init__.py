@@ -1,12 +1,10 @@
 """The Python API: what `import meshpoint` gives (docs/api.md)."""
 
-# First: it says how many threads numpy's libraries may have, before numpy is loaded.
-import meshpoint.testbench  # noqa: F401, I001
 from meshpoint.api.bench import Bench
+from meshpoint.api.choices import load_gearbox, load_settings
 from meshpoint.api.live_bench import LiveBench
 from meshpoint.api.logs import Log, shifts_table
 from meshpoint.api.runs import Campaign, Replay, Simulation, campaign, replay, simulate
-from meshpoint.api.choices import load_gearbox, load_settings
 from meshpoint.api.watching import ShiftError
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.logs.reader import LogError
@@ -19,8 +17,8 @@ from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
 from meshpoint.testbench.errors import CommandError, RunError
-from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.logs.session import Verification
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.results.rows import ShiftRow, Summary
 from meshpoint.testbench.version import product_version
 

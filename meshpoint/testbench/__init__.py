@@ -4,10 +4,3 @@ A room for each task holds its command (`simulate/command.py`; `live/` those of 
 alone needs. What commands share is in `command_line`; what several tasks need is in `loop` (virtual
 time, live runs), `logs`, `results` and `report`. `table.py` lists the commands, `cli.py` runs one.
 """
-
-import os
-
-# All matrices here are small: a thread pool waits longer than they take, and two processes with a
-# pool each wait for each other. It must be said before numpy is loaded.
-for _library in ("OPENBLAS", "MKL", "OMP"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")

@@ -40,7 +40,6 @@ REASONS: Final = {
     "stopping.py: SURE": "chance: deviations of a margin; the rig's cut a scatter",
     "to_rest.py: PULL_STEP_US": SPAN,
     "stopping.py: ABORT_STEP_US": SPAN,
-    "cylinder.py: STEP_S": SPAN,
     "cylinder.py: GAS_J_KGK": "physical: gas constant of air",
     "cylinder.py: AIR_K": "published: 20 degC, at which ISO 6358 states a conductance",
     "cylinder.py: NORMAL_KG_M3": "published: density of air in ISO 6358",
