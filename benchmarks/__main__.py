@@ -1,5 +1,6 @@
-"""`python -m benchmarks`: all of them, one after the other, below a line on what they run on."""
+"""All benchmarks, or those named, one after the other, below a line on what they run on."""
 
+import argparse
 import os
 import platform
 import sys
@@ -33,19 +34,25 @@ def interpreter() -> str:
     )
 
 
+BENCHES = {
+    "authentication": bench_authentication,
+    "codec": bench_codec,
+    "filter": bench_filter,
+    "rig": bench_rig,
+    "rig_live": bench_rig_live,
+    "step": bench_step,
+    "controller_live": bench_controller_live,
+    "virtual_time": bench_virtual_time,
+    "replay": bench_replay,
+    "campaign": bench_campaign,
+}
+
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHES)}")
+    names = parser.parse_args().names
+    unknown = [name for name in names if name not in BENCHES]
+    if unknown:
+        parser.error(f"{unknown[0]}: no such benchmark; there are {', '.join(BENCHES)}")
     print(interpreter(), flush=True)
-    benches = (
-        bench_authentication,
-        bench_codec,
-        bench_filter,
-        bench_rig,
-        bench_rig_live,
-        bench_step,
-        bench_controller_live,
-        bench_virtual_time,
-        bench_replay,
-        bench_campaign,
-    )
-    codes = [bench.main([]) for bench in benches]
-    sys.exit(max(codes))
+    sys.exit(max(BENCHES[name].main([]) for name in names or BENCHES))

@@ -172,7 +172,7 @@ class ControllerCore:
     def engaged_by_another(self, gear: MainGear) -> None:
         """This gear was engaged, but not by this controller: its reference is learned from how
         its tooth moves alone. For replays of another controller's log."""
-        self._observer.references.locked(gear, 0.0, straight=False)
+        self._observer.references.locked(gear, 0.0)
 
     def estimate_by(self, follower: Follower) -> None:
         """Goes on with a follower's estimates, data sheet and settings: it is this controller's

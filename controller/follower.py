@@ -91,5 +91,5 @@ class Follower:
         first.board.say_to(self.sleeves, now_us)
         watched = first.references.watched
         if watched is not None and watched is not self._watched:
-            self.observer.references.locked(watched.gear, float(watched.flank), watched.straight)
+            self.observer.references.locked(watched.gear, float(watched.flank))
         self._watched = watched

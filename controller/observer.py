@@ -51,7 +51,6 @@ from meshpoint.gearbox.kinematics import are_finite
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
-CLUTCH_BITES_SHARE = 0.2
 
 
 class Observer:
@@ -403,11 +402,4 @@ class Observer:
             return
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
         if layshaft is not None and main is not None:
-            self._locked.measure(gear, layshaft, main, self._coasting_rad_s2, events)
-
-    @property
-    def _coasting_rad_s2(self) -> float | None:
-        """The layshaft's acceleration by drag alone; None where the clutch bites."""
-        if (self.view.clutch_closed or 0.0) >= CLUTCH_BITES_SHARE:
-            return None
-        return self.brake.drag_nm.value / self._sheet.inertia_kgm2(self._split)
+            self._locked.measure(gear, layshaft, main, events)

@@ -5,12 +5,13 @@ torque presses it to. On a driveline that swings it changes flanks again and aga
 still for long, but the measurements of it pile up at two phases one backlash apart. The density of
 a measurement at phase phi from the middle of the gap, b the backlash:
 
-    p(phi) = (1 - e) (f/2 N(phi - b/2) + f/2 N(phi + b/2) + (1 - f) U(|phi| < b/2) * N) + e / pitch
+    p(phi) = (1 - e) (f u N(phi - b/2) + f (1 - u) N(phi + b/2) + (1 - f) U(|phi| < b/2) * N) + e / pitch
 
-N is a measurement's own error, f the share of measurements at a flank, and e that of measurements
-gone astray by an impact. Measurements at one flank alone leave two middles alike, so they decide
-nothing.
-"""
+N is a measurement's own error, f the share of measurements at a flank, u the share of those at the
+upper one, and e that of measurements gone astray by an impact. Measurements at one flank alone leave
+two middles alike. What decides then is that the slip at which tooth and flank met has carried the
+tooth to the flank on its side: u is near 1 or 0 for the first measurements, and 1/2 for all others.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -29,6 +30,9 @@ MEASUREMENT_SHARES: Final = (0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28)
 with none it is too vague."""
 AT_FLANK: Final = 0.6
 ASTRAY: Final = 0.02
+CARRIED: Final = 0.98
+"""Share of first measurements at a flank that are at the one to which the slip carried the
+tooth."""
 INDEPENDENT: Final = 0.25
 """Weight of one measurement: they follow each other every 10 ms, sooner than a tooth moves on, so
 that only one in four adds something of its own."""
@@ -39,6 +43,8 @@ CERTAIN: Final = 0.97
 BEYOND_SD: Final = 1.2
 """A measurement lies outside the gap when it is further from a flank than this, in its standard
 deviations."""
+FAR_SD: Final = 3.0
+"""It lies outside for sure when it is further than this."""
 MOST_OUTSIDE: Final = 0.1
 """Where more than this share of the measurements lie outside, the gap cannot be there. Of
 measurements at a flank 12 % do by chance."""
@@ -59,21 +65,25 @@ def _distances_rad(pitch_rad: float) -> Vector:
 
 
 @lru_cache(maxsize=8)
-def log_densities(pitch_rad: float, backlash_rad: float) -> list[Vector]:
-    """For measurements of each standard deviation, what one adds to the logarithm of a middle in
-    each cell. Kept, as it takes some milliseconds and is the same for all gears of a gearbox."""
-    phases, tables = _distances_rad(pitch_rad).tolist(), []
-    for share in MEASUREMENT_SHARES:
-        sd = share * backlash_rad
-        density = [_density(phase, sd, backlash_rad, pitch_rad) for phase in phases]
-        tables.append(INDEPENDENT * np.log(density))
+def log_densities(pitch_rad: float, backlash_rad: float) -> dict[tuple[int, int], Vector]:
+    """What a measurement adds to the logarithm of a middle in each cell beyond its own: by the
+    flank to which the slip carried the tooth (0: not known), and the index of its standard
+    deviation. Kept, as it takes some milliseconds and is the same for all gears of a gearbox."""
+    away, tables = _distances_rad(pitch_rad).tolist(), {}
+    for flank, upper in ((0, 0.5), (1, CARRIED), (-1, 1.0 - CARRIED)):
+        weight = INDEPENDENT if flank == 0 else 1.0
+        for kind, share in enumerate(MEASUREMENT_SHARES):
+            sd = share * backlash_rad
+            density = [_density(-off, sd, backlash_rad, pitch_rad, upper) for off in away]
+            tables[flank, kind] = weight * np.log(density)
     return tables
 
 
-def _density(phase: float, sd: float, b: float, pitch_rad: float) -> float:
-    flanks = sum(math.exp(-0.5 * ((phase - side * b / 2.0) / sd) ** 2) for side in (-1.0, 1.0)) / (
-        2.0 * sd * math.sqrt(2.0 * math.pi)
-    )
+def _density(phase: float, sd: float, b: float, pitch_rad: float, upper: float) -> float:
+    flanks = sum(
+        share * math.exp(-0.5 * ((phase - side * b / 2.0) / sd) ** 2)
+        for side, share in ((-1.0, 1.0 - upper), (1.0, upper))
+    ) / (sd * math.sqrt(2.0 * math.pi))
     ends = [math.erf((phase + side * b / 2.0) / (sd * math.sqrt(2.0))) for side in (1.0, -1.0)]
     between = 0.5 * (ends[0] - ends[1]) / b
     inside = AT_FLANK * flanks + (1.0 - AT_FLANK) * between
@@ -88,19 +98,31 @@ class GapPosterior:
         self._log: Vector = np.zeros(CELLS)
         self._measurements = np.zeros((len(MEASUREMENT_SHARES), CELLS))
         """How many measurements of each standard deviation there were in each cell."""
+        self._beside_rad = 0.0
+        """Sum of how far they lay from the middles of their cells."""
 
-    def measure(self, raw_rad: float, sd_rad: float) -> None:
-        """One measurement at the gear in mesh: its raw phase and standard deviation."""
+    def measure(self, raw_rad: float, sd_rad: float, flank: int = 0) -> bool:
+        """One measurement at the gear in mesh: its raw phase and standard deviation. flank: +1 or
+        -1, that to which the slip has just carried the tooth; 0: not known. Whether it counts: it
+        is not too vague."""
         share = sd_rad / self._backlash_rad
         if share > MEASUREMENT_SHARES[-1]:
-            return
+            return False
         kind = next(k for k, largest in enumerate(MEASUREMENT_SHARES) if share <= largest)
-        cell = round(raw_rad / self._pitch_rad * CELLS) % CELLS
+        nearest = round(raw_rad / self._pitch_rad * CELLS)
+        cell = nearest % CELLS
         self._measurements[kind, cell] += 1.0
-        # A middle in cell k explains the measurement by the density of its distance from there; the
-        # density is the same on either side.
+        self._beside_rad += raw_rad - nearest * self._pitch_rad / CELLS
+        # A middle in cell k explains the measurement by the density of its distance from there.
         densities = log_densities(self._pitch_rad, self._backlash_rad)
-        self._log += np.roll(densities[kind], cell)
+        self._log += np.roll(densities[flank, kind], cell)
+        return True
+
+    def allows(self, raw_rad: float) -> bool:
+        """Whether the middle may be there: the measurements lie in that gap."""
+        cell = round(raw_rad / self._pitch_rad * CELLS) % CELLS
+        away = np.roll(_distances_rad(self._pitch_rad), cell)
+        return self._outside(away, FAR_SD) <= MOST_OUTSIDE * float(self._measurements.sum())
 
     def middle(self) -> GapMiddle | None:
         """The middle of the gap; None while it is not certain."""
@@ -110,13 +132,18 @@ class GapPosterior:
         away = np.roll(_distances_rad(self._pitch_rad), best)
         near = np.abs(away) < NEAR_SHARE * self._backlash_rad
         share = float(weight[near].sum())
-        if share < CERTAIN or self._outside(away) > MOST_OUTSIDE * self._measurements.sum():
+        if (
+            share < CERTAIN
+            or self._outside(away, BEYOND_SD) > MOST_OUTSIDE * self._measurements.sum()
+        ):
             return None
         off = float((weight * away)[near].sum()) / share
         variance = float((weight * (away - off) ** 2)[near].sum()) / share
+        off += self._beside_rad / float(self._measurements.sum())
         return GapMiddle(best * self._pitch_rad / CELLS + off, math.sqrt(variance))
 
-    def _outside(self, away: Vector) -> float:
-        """How many measurements lie outside a gap from whose middle the cells are so far away."""
-        reach = self._backlash_rad * (0.5 + BEYOND_SD * np.array(MEASUREMENT_SHARES))
+    def _outside(self, away: Vector, beyond_sd: float) -> float:
+        """How many measurements lie outside a gap from whose middle the cells are so far away,
+        further from a flank than so many of their standard deviations."""
+        reach = self._backlash_rad * (0.5 + beyond_sd * np.array(MEASUREMENT_SHARES))
         return float(self._measurements[np.abs(away) > reach[:, np.newaxis]].sum())

@@ -1,35 +1,27 @@
 """Watches a gear that has just locked until its phase reference is known.
 
 A measurement is both shafts' angles at the newest edge: there nothing is extrapolated, so an impact
-causes the least error. Whether drag alone holds the gear's tooth at its lower flank is known from
-the speeds of the latest measurements.
+causes the least error.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
+from typing import Final
 
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.gearbox import GearboxSheet, MainGear
-from meshpoint.units import US
 
-PULL_RAD_S2 = 5.0
-"""Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
-MEASUREMENT_US = 10_000
-"""Time from one measurement to the next."""
-MEASUREMENTS_PULLED = 8
-"""Number of newest measurements over which the main shaft's acceleration is watched."""
-MEASUREMENT_SHARE = 0.15
-"""Largest standard deviation of a measurement at a gear in mesh, in backlashes, for which the two
-flanks can be distinguished."""
+LEAST_MEASUREMENTS: Final = 20
+"""Before it has been looked at for 0.2 s, nothing is concluded of a gear that stays in mesh: its
+tooth may still be on its way to a flank."""
 
 
 class LockedGear:
-    """What is seen of a gear in mesh whose flank is looked for."""
+    """What is seen of a gear in mesh whose phase is looked for."""
 
     def __init__(
         self,
@@ -41,8 +33,6 @@ class LockedGear:
         self._sheet = sheet
         self._references = references
         self._recovery = recovery
-        self._main_speeds: deque[tuple[float, float]] = deque(maxlen=MEASUREMENTS_PULLED)
-        """Times (us) and speeds (rad/s) of the main shaft at the latest measurements."""
         self._looked_us = 0.0
         """The newest edge at the latest measurement."""
 
@@ -53,56 +43,31 @@ class LockedGear:
         return is_new
 
     def measure(
-        self,
-        gear: MainGear,
-        layshaft: LayshaftState,
-        main: ShaftState,
-        coasting_rad_s2: float | None,
-        events: list[str],
+        self, gear: MainGear, layshaft: LayshaftState, main: ShaftState, events: list[str]
     ) -> None:
-        """One measurement. coasting_rad_s2: by how much the layshaft's drag slows it down; None
-        where the clutch bites."""
-        references, recovery = self._references, self._recovery
-        sd_rad = self._phase_sd_rad(gear, layshaft, main)
-        references.see(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
-        if sd_rad >= MEASUREMENT_SHARE * self._sheet.dog.backlash_rad:
-            return
-        pulled = self._drag_pulls(gear, main, coasting_rad_s2)
-        if references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
-            events.append(f"phase reference of {gear.name.lower()} learned")
-            if recovery is not None:
-                recovery.learned(gear, sd_rad, events)
+        """One measurement."""
+        ratio = self._sheet.main_mesh(gear).ratio
+        sd_rad = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+        references = self._references
+        references.measure(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
+        watched = references.watched
+        if watched is not None and watched.measurements >= LEAST_MEASUREMENTS:
+            self._settle(gear, events)
 
     def released(self, events: list[str]) -> None:
         """No gear is in mesh any more."""
-        floated = self._references.released()
-        if floated is not None and self._recovery is not None:
-            self._recovery.floated(floated, events)
+        gear, recovery = self._references.released(), self._recovery
+        if gear is None or self._settle(gear, events) or self._references.known(gear):
+            return
+        gap = self._references.gap(gear)
+        if gap is not None and recovery is not None:
+            recovery.seen(gear, gap, events)
 
-    def _phase_sd_rad(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> float:
-        ratio = self._sheet.main_mesh(gear).ratio
-        return math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
-
-    def _drag_pulls(self, gear: MainGear, main: ShaftState, coasting_rad_s2: float | None) -> bool:
-        """Whether drag alone turns the layshaft, and holds the gear's tooth at its lower flank."""
-        self._main_speeds.append((main.time_us, main.omega_rad_s))
-        if coasting_rad_s2 is None:
+    def _settle(self, gear: MainGear, events: list[str]) -> bool:
+        """Whether the gear's reference has just been learned."""
+        if not self._references.settle(gear):
             return False
-        ratio = self._sheet.main_mesh(gear).ratio
-        return ratio * coasting_rad_s2 - self._slowest_rad_s2(main) < -PULL_RAD_S2
-
-    def _slowest_rad_s2(self, main: ShaftState) -> float:
-        """The lowest acceleration of the main shaft during the latest measurements, over two
-        measurements each. On a driveline that swings it is far below that of the vehicle: then drag
-        does not hold the tooth at one flank."""
-        measurements = [
-            measurement
-            for measurement in self._main_speeds
-            if main.time_us - measurement[0] < MEASUREMENTS_PULLED * MEASUREMENT_US
-        ]
-        rates = [
-            (after[1] - before[1]) / ((after[0] - before[0]) * US)
-            for before, after in zip(measurements, measurements[2:], strict=False)
-            if after[0] > before[0]
-        ]
-        return min([main.acceleration_rad_s2, *rates])
+        events.append(f"phase reference of {gear.name.lower()} learned")
+        if self._recovery is not None:
+            self._recovery.learned(gear, self._references.sd_rad(gear), events)
+        return True

@@ -16,6 +16,7 @@ log.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -23,7 +24,8 @@ import numpy as np
 
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.tooth_match import ToothPattern
-from meshpoint.controller.phase.reference import Floated, PhaseReferences
+from meshpoint.controller.phase.gap_posterior import GapPosterior
+from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.turn_candidates import (
     TurnSet,
     all_turns,
@@ -42,9 +44,6 @@ LEARNED_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of the difference of two references learned of one gear at different times
 (docs/calibration.md)."""
 AGREES_SDS: Final = 4.0
-LEAST_FREE_SHARE: Final = -0.1
-"""Least free play, in backlashes, of a floating tooth: below it the measurements were wrong, since
-a tooth cannot move by more than the backlash."""
 MOST_COUNTED: Final = 1000
 """Largest number of candidate turns of the layshaft that a sensor's count may leave."""
 
@@ -231,31 +230,27 @@ class ReferenceRecovery:
         sd_rad: standard deviation of the measured phase. Log lines are added to `events`."""
         if not self._found or gear not in self._remembered:
             return
-        offset = self._references.offsets_rad[gear]
-        self._exclude(gear, offset, AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad), events)
+        offset, pitch_rad = self._references.offsets_rad[gear], self._sheet.dog.pitch_rad
+        tolerance = AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad)
+        self._exclude(
+            gear, lambda at: abs(wrap_to_pitch(at - offset, pitch_rad)) < tolerance, events
+        )
 
-    def floated(self, floated: Floated, events: list[str]) -> None:
-        """A gear was in mesh and its reference was not learned; that its tooth was inside the gap
-        still excludes turns."""
-        if not self._found or floated.gear not in self._remembered:
-            return
-        low, high = floated.low_rad, floated.high_rad
-        free = self._sheet.dog.backlash_rad - (high - low)
-        tolerance = 0.5 * free + AGREES_SDS * math.hypot(LEARNED_SD_RAD, LEARNED_SD_RAD)
-        if free > LEAST_FREE_SHARE * self._sheet.dog.backlash_rad:
-            self._exclude(floated.gear, 0.5 * (low + high), tolerance, events)
+    def seen(self, gear: MainGear, gap: GapPosterior, events: list[str]) -> None:
+        """A gear was in mesh and its reference was not learned; where its tooth was seen still
+        excludes turns."""
+        if self._found and gear in self._remembered:
+            self._exclude(gear, gap.allows, events)
 
-    def _exclude(self, gear: MainGear, offset: float, tolerance: float, events: list[str]) -> None:
-        """Excludes turns for which a gear's reference is farther from `offset` than `tolerance`,
-        rad."""
-        pitch_rad = self._sheet.dog.pitch_rad
+    def _exclude(self, gear: MainGear, agrees: Callable[[float], bool], events: list[str]) -> None:
+        """Excludes turns for which a gear's reference (rad) does not agree."""
 
-        def agrees(turn: int) -> bool:
-            return abs(wrap_to_pitch(self._predicted(gear, turn) - offset, pitch_rad)) < tolerance
+        def is_possible(turn: int) -> bool:
+            return agrees(self._predicted(gear, turn))
 
         if gear in self._turns.moduli:
-            self._turns = narrowed(self._turns, gear, agrees)
-        if self._turns.empty or not (gear in self._turns.moduli or agrees(0)):
+            self._turns = narrowed(self._turns, gear, is_possible)
+        if self._turns.empty or not (gear in self._turns.moduli or is_possible(0)):
             self._drop(gear, events)
         else:
             self._use(ReferenceSource.NARROWED, events)

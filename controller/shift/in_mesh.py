@@ -27,7 +27,7 @@ def in_mesh(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
     seen_us = snapshot.view.engaged_us(side.sleeve, side.direction)
     straight = _went_straight(context, seen_us)
     struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
-    context.references.locked(gear, _flank_slip_rad_s(context, struck_us), straight)
+    context.references.locked(gear, _flank_slip_rad_s(context, struck_us))
     context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE, seen_us)
     return Trigger.ENGAGED
 

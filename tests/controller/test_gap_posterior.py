@@ -62,6 +62,19 @@ def test_measurements_at_one_flank_alone_decide_nothing(flanks: tuple[float, ...
     assert posterior(measurements(rng, 0.3 * PITCH, 400, flanks)).middle() is None
 
 
+@pytest.mark.parametrize("flank", [1, -1])
+def test_the_slip_that_carried_the_tooth_tells_its_flank(flank: int) -> None:
+    """Two measurements of a tooth carried there, and some more at the same place."""
+    rng, middle = np.random.default_rng(7), 0.3 * PITCH
+    raw = middle + flank * BACKLASH / 2.0 + SD * rng.standard_normal(40)
+    found = GapPosterior(PITCH, BACKLASH)
+    for k, phase in enumerate(raw):
+        found.measure(float(phase), SD, flank if k < 2 else 0)
+    shown = found.middle()
+    assert shown is not None
+    assert abs(wrap_to_pitch(shown.raw_rad - middle, PITCH)) < 0.1 * BACKLASH
+
+
 def test_a_gap_wider_than_the_sheets_is_none() -> None:
     rng = np.random.default_rng(6)
     assert posterior(measurements(rng, 0.3 * PITCH, 200, (-1.6, 1.6))).middle() is None
@@ -72,38 +85,37 @@ def test_a_reference_is_known_after_one_engagement_on_a_driveline_that_swings() 
     scatter too much for their lowest and highest to bound the gap."""
     rng, gear, middle = np.random.default_rng(8), MainGear.SECOND, 0.4 * PITCH
     references, ratio = PhaseReferences(SHEET), SHEET.main_mesh(gear).ratio
-    references.locked(gear, 0.5, straight=False)
+    references.locked(gear, 0.0)
     sd = 1.6 * SD
     for raw in measurements(rng, middle, 60, (-1.0, 1.0), sd):
         theta_main = 40.0 * rng.random()
         theta_layshaft = (raw + theta_main) / ratio
-        references.see(gear, theta_layshaft, theta_main, sd)
-        references.watch(gear, theta_layshaft, theta_main)
-    references.released()
-    assert references.known(gear)
+        references.measure(gear, theta_layshaft, theta_main, sd)
+    assert references.settle(gear)
     phase = references.phase_rad(gear, 0.0, 0.0)
     assert abs(wrap_to_pitch(phase + middle, PITCH)) < 0.15 * BACKLASH
     references.lose_all()
-    references.locked(gear, 0.0)
-    references.released()
-    assert not references.known(gear)
+    assert not references.settle(gear)
 
 
 ROUND_PITCH, ROUND_BACKLASH, CELLS = 3.0, 0.625, 300
 MIDDLES = ROUND_PITCH / CELLS * np.arange(CELLS)
 
 
-def by_bayes(raw: np.ndarray, sd: float) -> tuple[float, float, float]:
+def by_bayes(raw: np.ndarray, sd: float, flanks: tuple[int, ...]) -> tuple[float, float, float]:
     """Probability that the middle is within 0.3 backlashes of the likeliest, mean and deviation
     there. Of a measurement's phase from the middle 3 of 5 are at a flank, 1 of 50 is astray
     anywhere, the others are even over the gap, all blurred by its error; it reports a quarter of
-    one alone."""
+    one alone. Those of a tooth that the slip has just carried to a flank are at that one in 49 of
+    50, and report each its own."""
     half, logs = ROUND_BACKLASH / 2.0, np.zeros(CELLS)
-    for phase in raw:
+    for phase, carried in zip(raw, flanks, strict=False):
         off = wrapped(phase - MIDDLES)
-        flank = 0.5 * (norm.pdf(off, half, sd) + norm.pdf(off, -half, sd))
+        upper = (0.5, 0.98, 0.02)[carried]
+        flank = upper * norm.pdf(off, half, sd) + (1.0 - upper) * norm.pdf(off, -half, sd)
         amid = (norm.cdf(off + half, scale=sd) - norm.cdf(off - half, scale=sd)) / ROUND_BACKLASH
-        logs += 0.25 * np.log(0.98 * (0.6 * flank + 0.4 * amid) + 0.02 / ROUND_PITCH)
+        density = 0.98 * (0.6 * flank + 0.4 * amid) + 0.02 / ROUND_PITCH
+        logs += (1.0 if carried else 0.25) * np.log(density)
     weight = np.exp(logs - logs.max())
     best = MIDDLES[np.argmax(weight)]
     away = wrapped(MIDDLES - best)
@@ -118,20 +130,24 @@ def wrapped(phase: np.ndarray) -> np.ndarray:
     return np.asarray(phase - ROUND_PITCH * np.round(phase / ROUND_PITCH))
 
 
+@pytest.mark.parametrize("slip", [0, 1, -1])
 @pytest.mark.parametrize("share", [0.1, 0.17, 0.28])
 @pytest.mark.parametrize("cell", [5, 100, 290])
-def test_the_middle_is_what_bayes_rule_makes_of_the_measurements(cell: int, share: float) -> None:
+def test_the_middle_is_what_bayes_rule_makes_of_the_measurements(
+    cell: int, share: float, slip: int
+) -> None:
     """Measurement by measurement, at a flank, at the other and amid the gap, also at a pitch's end:
     reported once 97 of 100 lie near the likeliest. Measurements lie on the cells, so that none is
     moved to the next one."""
     half, reported = round(ROUND_BACKLASH / 2.0 / ROUND_PITCH * CELLS), []
+    flanks = (slip, slip, *[0] * 158)
     cells = cell + np.tile([-half, half, half, half // 3], 40)
     for count in (*range(1, 32), 160):
         raw, sd = MIDDLES[cells[:count] % CELLS], share * ROUND_BACKLASH
-        certain, middle, spread = by_bayes(raw, sd)
+        certain, middle, spread = by_bayes(raw, sd, flanks)
         seen = GapPosterior(ROUND_PITCH, ROUND_BACKLASH)
-        for phase in raw:
-            seen.measure(float(phase), sd)
+        for phase, flank in zip(raw, flanks, strict=False):
+            assert seen.measure(float(phase), sd, flank)
         found = seen.middle()
         assert (found is not None) is (certain >= 0.97)
         if found is not None:

@@ -17,7 +17,7 @@ from recall_bench import THESIS, TIED, TRUCK12, WHOLE, Bench
 from meshpoint.controller.estimation.tooth_match import (
     ToothPattern,
 )
-from meshpoint.controller.phase.reference import Floated
+from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.controller.phase.turn_candidates import turn_candidates
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
@@ -315,7 +315,10 @@ def test_a_gear_that_was_in_mesh_unlearned_leaves_the_phases_at_which_it_can_be_
     bench.find()
     n, dog = bench.recovery.candidates(gear), TRUCK12.dog
     seen = sorted(bench.box.offset(gear) + share * dog.backlash_rad for share in (low, high))
-    bench.recovery.floated(Floated(gear, *seen), bench.events)
+    gap = GapPosterior(dog.pitch_rad, dog.backlash_rad)
+    for raw in 20 * seen:
+        gap.measure(raw, 0.1 * dog.backlash_rad)
+    bench.recovery.seen(gear, gap, bench.events)
     least = (dog.backlash_rad - (seen[1] - seen[0])) / dog.pitch_rad * n - 1.0
     assert least <= bench.recovery.candidates(gear) <= 0.37 * n + 1.0
     bench.learn(gear)

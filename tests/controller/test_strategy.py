@@ -21,7 +21,7 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor, LastMeas
 from meshpoint.controller.planning.strategies.table import STRATEGIES, make_strategy
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window
-from meshpoint.dbc.messages import ShiftDecision
+from meshpoint.dbc.messages import ReferenceSource, ShiftDecision
 from meshpoint.gearbox import MainGear, Split, load_sheet
 from meshpoint.units import RPM
 
@@ -42,10 +42,7 @@ EARLIEST_US = NOW_US + 18_000
 def learned(phase_at_zero: float) -> PhaseReferences:
     """References such that phase = i theta_LS - theta_MS + `phase_at_zero`."""
     references = PhaseReferences(SHEET)
-    references.locked(GEAR, 1.0)
-    theta_main = phase_at_zero - HALF_GAP
-    while not references.watch(GEAR, 0.0, theta_main, pulled=False):
-        pass
+    references.adopt(GEAR, -phase_at_zero, ReferenceSource.RESTORED)
     return references
 
 

@@ -5,17 +5,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
-from test_reference import TEETH, Gearbox
 from test_strategy import DELAY_US, GEAR, MAIN, MOTION, RATIO, VALVE_US, learned, predictor_at
 
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import LayshaftState
-from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.plan_kernels import TERMS
 from meshpoint.controller.planning.strategies.table import make_strategy
@@ -24,7 +21,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, EdgesMainRise, GearboxSensors
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import MainGear, Sleeve, Split, load_sheet
+from meshpoint.gearbox import Sleeve, Split, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.truck.as_built import draw_as_built
@@ -62,22 +59,6 @@ def test_the_sleeves_scatter_spreads_the_phase_by_the_slip(slip_rpm: float) -> N
     added = predictor.phase_sd_rad(at_us) ** 2 - predictor.estimate_variance(at_us)
     expected = (predictor.slip_rad_s(at_us) * SHEET.sleeve.delay_sd_s) ** 2
     assert added == pytest.approx(expected, rel=1e-3, abs=1e-12)
-
-
-def test_two_engagements_some_teeth_apart_bound_the_same_gap() -> None:
-    """Phases of one gear differ by whole pitches from one engagement to the next."""
-    gear = MainGear.SECOND
-    box, references = Gearbox(*TEETH[gear], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
-    half_gap = SHEET.dog.backlash_rad / 2.0
-    for tooth, low, high in ((3, -1.0, 0.2), (8, 0.0, 1.0)):
-        references.locked(gear, 0.0, straight=False)
-        for measurement in range(32):
-            swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * measurement)
-            at_ms = 7.0 + 0.6 * measurement
-            layshaft = box.layshaft_at_phase(swing * half_gap, at_ms, tooth)
-            assert not references.watch(gear, layshaft, at_ms)
-        references.released()
-    assert references.known(gear)
 
 
 class _Clock:
