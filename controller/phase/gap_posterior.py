@@ -144,6 +144,6 @@ class GapPosterior:
 
     def _outside(self, away: Vector, beyond_sd: float) -> float:
         """How many measurements lie outside a gap from whose middle the cells are so far away,
-        further from a flank than so many of their standard deviations."""
+        further from a flank than this many of their standard deviations."""
         reach = self._backlash_rad * (0.5 + beyond_sd * np.array(MEASUREMENT_SHARES))
         return float(self._measurements[np.abs(away) > reach[:, np.newaxis]].sum())

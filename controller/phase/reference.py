@@ -23,7 +23,8 @@ MOST_MEASUREMENTS: Final = 60
 FLANK_SLIP_RAD_S: Final = 0.2
 """Below this slip (2 rpm) at contact it is not certain which flank the tooth was carried to."""
 CARRIED_MEASUREMENTS: Final = 2
-"""So many of a gear that has just locked are of a tooth where the slip has carried it: 20 ms."""
+"""The first ones of a gear that has just locked are of a tooth where the slip has carried it: 20
+ms."""
 OTHER_SHARE: Final = 0.3
 """A constant that differs by so much, in backlashes, is another one: a flank was taken for the
 other."""

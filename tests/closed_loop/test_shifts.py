@@ -34,7 +34,7 @@ from meshpoint.gearbox import MainGear
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.version import product_version
-from meshpoint.units import DEG, SECOND_US
+from meshpoint.units import DEG
 
 State = ControllerState
 AHEAD_OF_GEAR = (State.COASTING, State.ENGAGING, State.CLUTCH_CLOSING)
@@ -218,13 +218,11 @@ def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
 
 def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm: within a tenth of half
-    a gap, and surely so once the brake's air has fallen for a time constant. Contact is up to a
-    tick after the newest edges, when less is known."""
-    emptied_us = [e.event_time_us for e in engagements(six_shifts, EngagementEvent.BRAKE_EMPTIES)]
-    falls_us = SECOND_US * SHEET.brake.time_constant_s
+    a gap, which is its deviation at most as well. Most of that is the reference's, of which one or
+    two engagements have shown one flank."""
     contacts = engagements(six_shifts, EngagementEvent.GAP_CONTACT)
     reported = [each for each in six_shifts.of(ControllerEstimates) if each.phase_known]
-    tenth_rad, is_sure = 0.05 * SHEET.dog.backlash_rad, []
+    tenth_rad = 0.05 * SHEET.dog.backlash_rad
     for outcome in aimed(six_shifts):
         contact_us = outcome.measured_contact_time_us
         near = min(contacts, key=lambda c: abs(c.event_time_us - contact_us))
@@ -232,10 +230,7 @@ def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None
         error_rad = abs(outcome.estimated_phase_rad - near.phase_rad)
         assert error_rad < tenth_rad
         assert error_rad < 3.0 * sd_rad
-        since_us = contact_us - max(at_us for at_us in emptied_us if at_us < contact_us)
-        is_sure.append(3.0 * sd_rad < tenth_rad)
-        assert is_sure[-1] or since_us < falls_us
-    assert sum(is_sure) >= len(is_sure) - 1
+        assert sd_rad < tenth_rad
 
 
 def test_the_controllers_phase_at_contact_is_what_it_had_planned(six_shifts: Loop) -> None:
