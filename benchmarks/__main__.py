@@ -48,7 +48,12 @@ BENCHES = {
 }
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        epilog="Measured for longer, each by itself: python -m benchmarks.promises, .aborts, "
+        ".bench_campaign_memory, .studies, .swarm.",
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHES)}")
     names = parser.parse_args().names
     unknown = [name for name in names if name not in BENCHES]

@@ -2,8 +2,8 @@
 
     python -m benchmarks.promises --gearboxes 24
 
-Each gearbox (sheet truck12) makes shifts up in one of its ranges. After the first, in which the
-controller learns, its estimate of the main shaft is taken at each step in which the shaft is free:
+Each gearbox (sheet truck12) makes 14 shifts up in one of its ranges. After the first six, in which
+the controller learns, its estimate of the main shaft is taken at each step in which that is free:
 the angle that it expects 30 and 45 ms later, and the probability that the angle is within half a
 gap of that. Later the estimate by the edges that have come since says where the shaft was. Printed:
 what was promised in the mean and how often it was kept, and both by tenths of what was promised
@@ -154,9 +154,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--gearboxes", type=int, default=24, metavar="N")
+    parser.add_argument("--gearboxes", type=int, default=24, metavar="N", help="default: 24")
     parser.add_argument("--seed", type=int, default=1, help="of the first gearbox (default: 1)")
-    parser.add_argument("--as-built", default="typical", choices=[each.value for each in Profile])
+    profiles = [each.value for each in Profile]
+    parser.add_argument("--as-built", default="typical", choices=profiles, help="default: typical")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--json", nargs="?", const="-", metavar="-")
     asked = parser.parse_args(argv)

@@ -161,6 +161,11 @@ def read_as_built(given: Path) -> AsBuiltChoice:
     """What `--as-built` says: the name of a profile or a file. AsBuiltError names what is wrong."""
     if str(given) in tuple(Profile):
         return AsBuiltChoice(Profile(str(given)), {})
+    if not given.exists():
+        known = ", ".join(Profile)
+        raise AsBuiltError(
+            f"{given}: no such file, and no profile of that name; profiles are {known}"
+        )
     return load_as_built(given)
 
 

@@ -352,6 +352,8 @@ def test_a_file_without_a_profile_and_one_that_nobody_knows(tmp_path: Path) -> N
     own.write_text('profile = "rough"\n')
     with pytest.raises(AsBuiltError, match=r"rough.*clean, typical, harsh"):
         read_as_built(own)
+    with pytest.raises(AsBuiltError, match=r"rough: no such file.*clean, typical, harsh"):
+        read_as_built(Path("rough"))
 
 
 def test_other_conditions_of_work_are_the_benches_work_and_keep_the_balance() -> None:

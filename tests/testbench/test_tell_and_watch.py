@@ -322,3 +322,12 @@ def test_in_a_real_terminal_it_draws_on_a_screen_of_its_own_and_leaves_the_last_
     rows = run[1]
     assert f"gear   {rows[-1]['to']}  in gear" in after
     assert max(len(line.rstrip("\r")) for line in after.split("\n")) <= WIDTH
+
+
+def test_a_log_that_is_missing_is_an_error_and_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["tell", str(tmp_path / "none.log")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "none.log: cannot be read" in said.err

@@ -85,9 +85,10 @@ def run(namespace: argparse.Namespace) -> int:
 def _lines(namespace: argparse.Namespace) -> Iterator[Line]:
     story, files, sheet = Story(), log_files(namespace.log), arguments.sheet_of(namespace)
     unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
-    if said:
-        yield Line(0.0, None, "bus", said)
     for time_s, frame in entries:
+        if said:
+            yield Line(0.0, None, "bus", said)
+            said = ""
         for inner in unpack(frame):
             yield from story.receive(time_s, inner)
 
