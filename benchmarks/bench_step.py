@@ -22,17 +22,13 @@ from types import FrameType
 from typing import Any, Final, NamedTuple
 
 import meshpoint.controller
+from benchmarks.shifts import make_shifts
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
-from meshpoint.testbench.loop.bench_builder import virtual_bench
-from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 
 SEED: Final = 2
 OURS: Final = str(Path(meshpoint.controller.__file__).resolve().parents[1])
@@ -78,12 +74,8 @@ def run(profile: Profile, shifts: int, counts: bool = False) -> list[Taken]:
     setup = Setup(
         load_sheet("truck12"), ControllerSettings(), profile=profile, seed=SEED, shifts=shifts
     )
-    plan = plan_shifts(setup.sheet, list(setup.pairs), shifts, LAYSHAFT_RAD_S)
-    operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
     controller = Measured(ControllerCore(setup.header), counts)
-    rig = RigCore(setup.sheet, setup.rig(plan[0]))
-    driver = virtual_bench(setup, controller, rig, operator).time
-    driver.run(lambda: operator.done, LIMIT_US_PER_SHIFT * shifts)
+    make_shifts(setup, controller)
     return controller.steps
 
 

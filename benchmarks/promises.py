@@ -20,18 +20,14 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+from benchmarks.shifts import make_shifts
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import ControllerState
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
-from meshpoint.testbench.loop.bench_builder import virtual_bench
-from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 
 SHEET: Final = load_sheet("truck12")
 PAIRS: Final = {"low": ((2, 4), (4, 6), (1, 3)), "high": ((8, 10), (10, 12), (7, 9))}
@@ -110,12 +106,8 @@ def run(seed: int, profile: Profile) -> list[Kept]:
     setup = Setup(
         SHEET, ControllerSettings(), profile=profile, seed=seed, shifts=SHIFTS, pairs=PAIRS[range_]
     )
-    plan = plan_shifts(setup.sheet, list(setup.pairs), SHIFTS, LAYSHAFT_RAD_S)
-    operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
     controller = Watched(ControllerCore(setup.header), range_)
-    rig = RigCore(setup.sheet, setup.rig(plan[0]))
-    driver = virtual_bench(setup, controller, rig, operator).time
-    driver.run(lambda: operator.done, LIMIT_US_PER_SHIFT * SHIFTS)
+    make_shifts(setup, controller)
     return controller.kept
 
 
