@@ -18,8 +18,8 @@ LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
 """Slip falls so slowly that another gap comes before the gear is too slow."""
 SEED = 18
 PLAIN = ControllerSettings()
-STANDS_MS = 150.0
-DELAY_MS = 1e3 * load_sheet("truck12").sleeve.delay_s
+HALF_A_RETRY_MS = 250.0
+"""A sleeve that meets a tooth and is fired a second time costs some 500 ms (docs/strategy.md)."""
 """It stands before the teeth for no longer."""
 
 
@@ -50,8 +50,7 @@ def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_meets_the_next_gap(
     plain, row = aimed_shift(monkeypatch, 0), aimed_shift(monkeypatch, 1)
     assert (plain.aborts, row.aborts) == (0, 1)
     assert (row.contact, row.ratchets, row.face_ms) == ("gap", 0, 0.0)
-    # It stands for no longer, and is then fired again.
-    assert 0.0 < row.duration_ms - plain.duration_ms < STANDS_MS + DELAY_MS
+    assert 0.0 < row.duration_ms - plain.duration_ms < HALF_A_RETRY_MS
 
 
 def test_a_sleeve_that_is_stopped_at_each_firing_comes_into_its_gear_in_time(
