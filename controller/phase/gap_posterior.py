@@ -58,8 +58,9 @@ class GapMiddle(NamedTuple):
     sd_rad: float
 
 
+@lru_cache(maxsize=8)
 def _distances_rad(pitch_rad: float) -> Vector:
-    """Distance of each cell from the first, at most half a pitch."""
+    """Distance of each cell from the first, at most half a pitch. Kept, not to be changed."""
     away = pitch_rad / CELLS * np.arange(CELLS)
     return away - pitch_rad * (away > pitch_rad / 2.0)
 

@@ -25,9 +25,10 @@ STEP_S: Final = 4e-4
 STEP_SHARE: Final = 0.5
 """Of the time in which a chamber's pressure comes near its end: no step is longer (Adams and
 Bashforth's stability)."""
-SHORT_SHARE: Final = 0.2
 LEAST_STEP_S: Final = 5e-5
 """Chambers that would need shorter ones are off by a per cent of their pressure at their end."""
+SHORT_SHARE: Final = 0.2
+"""Of a step: the rates of one before it that was shorter than this are not extrapolated."""
 GAS_J_KGK: Final = 287.05
 AIR_K: Final = 293.15
 NORMAL_KG_M3: Final = 1.185
@@ -209,8 +210,7 @@ def move(  # noqa: C901
         before0, before1 = rate0, rate1
         rate0 = (DRIVEN * flow0 - POLYTROPIC * p0 * area * speed) / volume0
         rate1 = (DRIVEN * flow1 + POLYTROPIC * p1 * area * speed) / volume1
-        # Adams and Bashforth's second order; Euler's step where a spool has just moved, or where
-        # the step before was so short that rates a little apart would be extrapolated far.
+        # Adams and Bashforth's second order; Euler's step where a spool has just moved.
         more = 0.5 * h / last_s if last_s > SHORT_SHARE * h else 0.0
         p0 += h * (rate0 + more * (rate0 - before0))
         p1 += h * (rate1 + more * (rate1 - before1))

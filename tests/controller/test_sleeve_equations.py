@@ -53,10 +53,10 @@ class Equations:
         larger = (self.dead + swept) / (sheet["dead_m3"] + swept)
         self.feed = sheet["feed"] * larger * np.exp(learned[FEED : FEED + 2])
 
-    def _flow(self, c: float, from_pa: float, to_pa: float) -> float:
+    def flow(self, c: float, from_pa: float, to_pa: float) -> float:
         """ISO 6358, critical ratio 0.3; linear near equal pressures."""
         if to_pa >= from_pa:
-            return 0.0 if to_pa == from_pa else -self._flow(c, to_pa, from_pa)
+            return 0.0 if to_pa == from_pa else -self.flow(c, to_pa, from_pa)
         ratio = to_pa / from_pa
         if ratio > 0.99:
             at_edge = math.sqrt(1.0 - (0.69 / 0.7) ** 2)
@@ -79,7 +79,7 @@ class Equations:
         grown = []
         for k, side in ((0, 1.0), (1, -1.0)):
             c = self.feed[k] if open_[k] else self.feed[k] * self.vent
-            flow = self._flow(c, self.supply if open_[k] else self.air, y[2 + k])
+            flow = self.flow(c, self.supply if open_[k] else self.air, y[2 + k])
             volume = self.dead + self.area * (self.stroke + side * x)
             grown.append((GAS * flow - 1.2 * y[2 + k] * self.area * side * v) / volume)
         side = math.copysign(1.0, v or self.push_n(y))
