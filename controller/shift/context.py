@@ -120,11 +120,6 @@ class ShiftContext:
         self.state = state
         self.since_us = snapshot.now_us
 
-    @property
-    def clutch_opens(self) -> bool:
-        """Whether the clutch has been commanded to open."""
-        return self.clutch is ClutchAction.OPEN
-
     def late(self, snapshot: StepSnapshot, limit_ms: int) -> bool:
         """Whether the present state has lasted longer than this limit."""
         return snapshot.now_us - self.since_us > limit_ms * MS_IN_US

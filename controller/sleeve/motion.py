@@ -43,8 +43,6 @@ class Way(NamedTuple):
 
     crossed_us: float | None
     speed_m_s: float
-    turned_us: float | None
-    furthest_m: float
     m: float
     end_m_s: float
     state: Vector
@@ -108,13 +106,11 @@ def follow(
 
 def single(found: Ways, start: Start) -> Way:
     """The first of them, in sensor time."""
-    crossed_s, speed, turned_s, furthest = found.ways[0].tolist()
+    crossed_s, speed = found.ways[0, :2].tolist()
     state, begin_us = found.states[0], start.time_us
     return Way(
         None if crossed_s < 0.0 else begin_us + crossed_s * SECOND_US,
         speed,
-        None if turned_s < 0.0 else begin_us + turned_s * SECOND_US,
-        furthest,
         float(state[0]),
         float(state[1]),
         state,

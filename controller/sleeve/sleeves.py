@@ -190,12 +190,6 @@ class Sleeves:
         way = self._sleeves[sleeve].at(at_us)
         return Place(way.m, way.end_m_s, way.end_m_s != 0.0)
 
-    def passes_us(self, sleeve: Sleeve, level_m: float, direction: int) -> float | None:
-        """When a sleeve comes by a place in this direction, by the commands so far; None where it
-        does not get there."""
-        until_us = self._now_us + LONGEST_US
-        return self._sleeves[sleeve].to_level(direction, level_m, until_us).crossed_us
-
     def stroke(self, gear: MainGear, fire_us: int) -> Stroke:
         """The contact, if the valve towards the gear switches on then, from where the sleeve is
         then."""

@@ -46,7 +46,6 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import TURN
 
 MOST_BRAKE_PA: Final = 4095 * 320.0
-STEPS_PER_FRACTION: Final = 1000
 HALF_READ: Final = 5
 """Of the ten samples of a position, 1 ms apart, the second one that is sent."""
 SAMPLES: Final = 10

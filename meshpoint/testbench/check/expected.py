@@ -18,8 +18,6 @@ from meshpoint.testbench.watch.heard import Heard
 GROUP: Final = "messages"
 RATE_SHARE: Final = 0.05
 """By which a message's rate may differ from what its cycle time gives."""
-STALE_CYCLES: Final = 5
-"""Without a good frame for this many cycles a channel is not valid (docs/wire.md)."""
 EXPECTED: Final[tuple[MessageSpec, ...]] = tuple(
     codec.spec
     for codec in CODECS.values()
