@@ -243,11 +243,18 @@ class CruiseFilterTuning:
 class CrossingFilterTuning:
     """Noises that the crossing-time filter assumes; where they come from: docs/estimation.md."""
 
-    REMOVED: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("fuse_input", "fuse_propeller", "mesh_walk_deg", "mesh_side_deg", "mesh_side_ms"),
-        "angles come from the layshaft's and the main shaft's own wheels alone; the line may be "
-        "deleted",
-    )
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            ("fuse_input", "fuse_propeller", "mesh_walk_deg", "mesh_side_deg", "mesh_side_ms"),
+            "angles come from the layshaft's and the main shaft's own wheels alone; the line may "
+            "be deleted",
+        ),
+        **dict.fromkeys(
+            ("far_hz", "far_factor", "far_rpm"),
+            "a driveline that swings does so at one frequency; the line may be deleted",
+        ),
+        **{f"near_{key}": f"its name is swing_{key} now" for key in ("hz", "factor", "rpm")},
+    }
 
     edge_time_s: float = quantity("edge_time_us", 0.1, 200.0, 1e-6, default=10e-6)
     """Standard deviation of an edge's time."""
@@ -286,23 +293,16 @@ class CrossingFilterTuning:
     on a slope."""
     main_walk_rad_s2: float = quantity("main_walk_rad_s2", 0.0, 1e4, default=5.0)
     """By how much the main shaft's steady acceleration wanders in a second."""
-    near_hz: float = quantity("near_hz", 1.0, 200.0, default=20.0)
+    swing_hz: float = quantity("swing_hz", 1.0, 200.0, default=20.0)
     """Typical frequency at which the main shaft swings against the wheels; the real one is
     learned."""
-    near_factor: float = quantity("near_factor", 1.01, 4.0, default=1.5)
+    swing_factor: float = quantity("swing_factor", 1.01, 4.0, default=1.5)
     """The real one is higher or lower by this factor, one standard deviation."""
-    far_hz: float = quantity("far_hz", 0.1, 50.0, default=4.0)
-    """Typical frequency at which the driveline swings on tyres and half shafts."""
-    far_factor: float = quantity("far_factor", 1.01, 4.0, default=1.4)
-    """That of the tyres is higher or lower by this factor, one standard deviation."""
     swing_damping: float = quantity("swing_damping_percent", 0.1, 90.0, 0.01, default=0.05)
     """Typical damping of a swing, over the critical one."""
-    near_rad_s: float = quantity("near_rpm", 0.01, 500.0, RPM, default=10.0 * RPM)
+    swing_rad_s: float = quantity("swing_rpm", 0.01, 500.0, RPM, default=10.0 * RPM)
     """Typical speed by which the main shaft swings against the wheels after a gear has come out,
     before any shift has shown it."""
-    far_rad_s: float = quantity("far_rpm", 0.01, 500.0, RPM, default=3.0 * RPM)
-    """Typical speed by which the main shaft swings on tyres and half shafts, before any shift has
-    shown it."""
     swing_noise_rad2_s3: float = quantity("swing_noise_rad2_s3", 0.0, 1e6, default=0.1)
     """Typical density of the noise that accelerates the main shaft, before any shift has shown
     it."""

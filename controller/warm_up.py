@@ -33,8 +33,8 @@ from meshpoint.controller.motion.models import (
     outlook,
     predict,
 )
-from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
-from meshpoint.controller.motion.swing_kernels import MODES, SWING_STATES
+from meshpoint.controller.motion.swing import Swing, SwingMotion, SwingRates
+from meshpoint.controller.motion.swing_kernels import SWING_STATES
 from meshpoint.controller.planning import plan_kernels
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
@@ -88,7 +88,7 @@ def _warm_up_crossing() -> None:
 
 def _warm_up_swing() -> None:
     none, switches = np.empty(0), np.empty((2, 0))
-    model = SwingMotion(1.0, 1.0, [ModeRates(10.0, 1.0, 1.0)] * MODES)
+    model = SwingMotion(1.0, 1.0, SwingRates(10.0, 1.0, 1.0))
     shaft = CrossingFilter(CrossingFilterTuning(), MAIN_FILTER)
     shaft.begin(0.0, np.ones(SWING_STATES), np.eye(SWING_STATES))
     shaft.take(np.array([[1e3], [0.1]]), 0.1, Pressures(none, none), switches, model)

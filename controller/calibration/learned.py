@@ -159,22 +159,23 @@ class NoiseRecord:
 @dataclass(frozen=True)
 class SwingRecord:
     """How the driveline swings in one step of the range
-    (`controller/estimation/driveline_swing.py`). Of two figures the first is of the mode against
-    the wheels, the second of that on the tyres.
-    Each sd is that of a figure's logarithm."""
+    (`controller/estimation/driveline_swing.py`). Each sd is that of a figure's logarithm."""
 
     shifts: int = count("learned_from_shifts", 1, MOST_SHIFTS)
-    natural_rad_s: tuple[float, ...] = quantities("frequency_hz", 0.01, 1e3, TURN)
-    natural_sd: tuple[float, ...] = quantities("frequency_sd", 0.0, 5.0)
-    damping: tuple[float, ...] = quantities("damping", 1e-4, 1.0)
+    natural_rad_s: float = quantity("frequency_hz", 0.01, 1e3, TURN)
+    natural_sd: float = quantity("frequency_sd", 0.0, 5.0)
+    damping: float = quantity("damping", 1e-4, 1.0)
     """Over the critical one."""
-    damping_sd: tuple[float, ...] = quantities("damping_sd", 0.0, 5.0)
-    speed_rad_s: tuple[float, ...] = quantities("speed_rpm", 1e-4, 1e4, RPM)
+    damping_sd: float = quantity("damping_sd", 0.0, 5.0)
+    speed_rad_s: float = quantity("speed_rpm", 1e-4, 1e4, RPM)
     """Standard deviation of the speed when a gear comes out."""
-    speed_sd: tuple[float, ...] = quantities("speed_sd", 0.0, 5.0)
-    noise_rad2_s3: tuple[float, ...] = quantities("noise_rad2_s3", 1e-9, 1e9)
-    """Densities of the noises: of both modes, and of the shaft itself."""
-    noise_sd: tuple[float, ...] = quantities("noise_sd", 0.0, 5.0)
+    speed_sd: float = quantity("speed_sd", 0.0, 5.0)
+    noise_rad2_s3: float = quantity("noise_rad2_s3", 1e-9, 1e9)
+    """Density of the noise that drives the swing."""
+    noise_sd: float = quantity("noise_sd", 0.0, 5.0)
+    shaft_noise_rad2_s3: float = quantity("shaft_noise_rad2_s3", 1e-9, 1e9)
+    """Density of the noise that accelerates the shaft itself."""
+    shaft_noise_sd: float = quantity("shaft_noise_sd", 0.0, 5.0)
     hill_rad_s2: float = quantity("hill_rad_s2", 1e-4, 1e5)
     """Standard deviation of the steady acceleration when a gear comes out."""
     hill_sd: float = quantity("hill_sd", 0.0, 5.0)
@@ -184,19 +185,18 @@ class SwingRecord:
     """Half of the driveline's backlash, at the main shaft."""
     half_lash_sd: float = quantity("half_lash_sd", 0.0, 5.0)
 
-    MODES = 2
-
-    def __post_init__(self) -> None:
-        for key in ("natural_rad_s", "natural_sd", "damping", "damping_sd", "speed_rad_s"):
-            self._check(key, self.MODES)
-        self._check("speed_sd", self.MODES)
-        self._check("noise_rad2_s3", self.MODES + 1)
-        self._check("noise_sd", self.MODES + 1)
-
-    def _check(self, key: str, allowed: int) -> None:
-        found = len(getattr(self, key))
-        if found != allowed:
-            raise TableError(f"{key} holds {found} numbers, allowed are {allowed}")
+    @property
+    def figures(self) -> tuple[tuple[float, float], ...]:
+        """Value and deviation of each figure of the swing, in the order of
+        `driveline_swing.NATURAL` to `HILL`."""
+        return (
+            (self.natural_rad_s, self.natural_sd),
+            (self.damping, self.damping_sd),
+            (self.speed_rad_s, self.speed_sd),
+            (self.noise_rad2_s3, self.noise_sd),
+            (self.shaft_noise_rad2_s3, self.shaft_noise_sd),
+            (self.hill_rad_s2, self.hill_sd),
+        )
 
 
 @dataclass(frozen=True)

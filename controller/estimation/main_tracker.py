@@ -37,8 +37,8 @@ from meshpoint.controller.estimation.wheel_tracker import (
 )
 from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.motion.lash_trajectory import LashTrajectory
-from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
-from meshpoint.controller.motion.swing_kernels import MODES, STEADY, SWING_STATES
+from meshpoint.controller.motion.swing import ShaftState, Swing, SwingMotion, SwingRates
+from meshpoint.controller.motion.swing_kernels import STEADY, SWING_STATES
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
@@ -47,8 +47,8 @@ from meshpoint.kernels.records import RecordMemory, Vector
 from meshpoint.units import US
 
 NO_SWITCHES: Final = np.empty((2, 0))
-STILL: Final = ModeRates(1.0, 0.5, 0.0)
-"""A mode that does not swing."""
+STILL: Final = SwingRates(1.0, 0.5, 0.0)
+"""A shaft that does not swing."""
 
 RELEASED_SHARE: Final = 0.1
 """Standard deviation of the speed when a gear comes out, as a share of it."""
@@ -85,7 +85,7 @@ class MainTracker(WheelTracker[SwingLesson]):
         """range_ratios: i_range of low and high; behind: what turns behind the gearbox."""
         super().__init__(tuning, teeth, missing, MAIN_FILTER)
         white = 2.0 * tuning.follow_rad_s2**2 * tuning.follow_s
-        self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, [STILL] * MODES)
+        self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, STILL)
         steps = (Range.LOW, Range.HIGH)
         axle, self._half_gap_rad = Behind() if behind is None else behind
         self._swings = {step: DrivelineSwing(tuning) for step in steps}

@@ -22,8 +22,8 @@ from meshpoint.controller.estimation.swing_layout import (
 )
 from meshpoint.controller.motion.kernels import OMEGA, THETA, mirror
 from meshpoint.controller.motion.swing_kernels import (
-    FIRST_MODE,
-    MODES,
+    RATE,
+    SWING,
     SWING_STATES,
     SwingStep,
     swing_on,
@@ -87,13 +87,11 @@ def carry_swing(teeth: Vector, step: SwingStep) -> None:
             omega[c] += omega_by * state[c]
     for c in range(size):
         teeth[OMEGA, c] = omega[c]
-    for m in range(MODES):
-        i = FIRST_MODE + 2 * m
-        angle, speed = teeth[i], teeth[i + 1]
-        for c in range(size):
-            q, r = angle[c], speed[c]
-            angle[c] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
-            speed[c] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
+    angle, speed, block = teeth[SWING], teeth[RATE], step.block
+    for c in range(size):
+        q, r = angle[c], speed[c]
+        angle[c] = block[0] * q + block[1] * r
+        speed[c] = block[2] * q + block[3] * r
 
 
 class FilterKind(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshpoint.controller.motion.lash_trajectory import LashTrajectory
 from meshpoint.controller.motion.swing_kernels import (
-    FIRST_MODE,
+    RATE,
     SWING_MODEL,
     swing_ahead,
     swing_outlook,
@@ -34,8 +34,8 @@ def between_ticks(found: Vector, step_us: float, count: int) -> Vector:
     return np.asarray(np.interp(step_us * np.arange(count), times_us, found))
 
 
-class ModeRates(NamedTuple):
-    """One way in which the driveline swings (`swing_kernels.Mode`)."""
+class SwingRates(NamedTuple):
+    """How the driveline swings; as in `swing_kernels.SwingModel`."""
 
     natural_rad_s: float
     decay_per_s: float
@@ -45,11 +45,8 @@ class ModeRates(NamedTuple):
 class SwingMotion(RecordMemory):
     """A `swing_kernels.SwingModel`. It is not changed once it is made."""
 
-    def __init__(
-        self, white_rad2_s3: float, walk_rad2_s5: float, modes: Sequence[ModeRates]
-    ) -> None:
+    def __init__(self, white_rad2_s3: float, walk_rad2_s5: float, rates: SwingRates) -> None:
         super().__init__(SWING_MODEL)
-        rates = [value for mode in modes for value in mode]
         self.flat[:] = [white_rad2_s3, walk_rad2_s5, *rates]
 
 
@@ -65,7 +62,7 @@ class Swing(NamedTuple):
     @property
     def speed_rad_s(self) -> float:
         """The part of the shaft's speed with which it swings."""
-        return float(sum(self.x[FIRST_MODE + 1 :: 2].tolist()))
+        return self.x.item(RATE)
 
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""

@@ -28,7 +28,7 @@ def test_a_linear_driveline_is_found_to_swing_by_itself_and_by_no_noise() -> Non
     observer: Observer = loop.controller.observer
     swing = observer.swings().low
     assert swing is not None
-    assert max(swing.noise_rad2_s3) < 0.05
+    assert max(swing.noise_rad2_s3, swing.shaft_noise_rad2_s3) < 0.05
     last = reported[-1]
     assert last is not None
     assert last.predicted_phase_sd_deg is not None

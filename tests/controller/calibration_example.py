@@ -40,9 +40,8 @@ def example() -> Calibration:
         brake=BrakeRecord(12, 0.96, 0.01, -6.0, 0.5, 8e3, 5e3, 3.2e-3, 1e-3, four, sds, four,
                           sds, 0.0098, 1e-4, 0.0083, 2e-4),
         noise=NoiseRecord(12, 8e-6, 0.1, 9e-6, 0.1, 1.2, 0.2, 0.03, 0.2, 0.09, 0.3),
-        swings=SwingRecords(high=SwingRecord(5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1),
-                            (0.1, 0.3), (1.0, 0.2), (0.3, 0.3), (0.1, 0.2, 0.1), (0.2,) * 3,
-                            2.0, 0.3, True, 0.01, 0.05)),
+        swings=SwingRecords(high=SwingRecord(5, 120.0, 0.01, 0.05, 0.1, 1.0, 0.3, 0.1, 0.2, 0.2,
+                            0.3, 2.0, 0.3, True, 0.01, 0.05)),
         sleeves=SleeveRecords(second=sleeve),
         end=End(True),
     )  # fmt: skip

@@ -146,7 +146,7 @@ BAD: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
         changed("gain_sd = 0.01", "gain_sd = 1.1"), ("gain_sd", "1.1", "0 to 1")
     ),
     "more than damped": (
-        changed("damping = [\n    0.05, ", "damping = [\n    1.1, "),
+        changed("damping = 0.05", "damping = 1.1"),
         ("damping", "1.1", "0.0001 to 1"),
     ),
     "a text": (changed("gain = 0.96", 'gain = "much"'), ("brake", "gain", "much")),

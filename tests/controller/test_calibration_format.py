@@ -55,8 +55,12 @@ FORMAT: Final[dict[type, dict[str, Range]]] = {
         "memory_sd": SD5, "friction_nms": (0.0, 10.0, 1.0), "friction_sd": SD5,
     },
     SwingRecord: {
-        "learned_from_shifts": (1, 10**9, 1), "hill_rad_s2": (1e-4, 1e5, 1.0), "hill_sd": SD5,
-        "half_lash_deg": (1e-5, 90.0, DEG), "half_lash_sd": SD5,
+        "learned_from_shifts": (1, 10**9, 1), "frequency_hz": (0.01, 1e3, TURN),
+        "frequency_sd": SD5, "damping": (1e-4, 1.0, 1.0), "damping_sd": SD5,
+        "speed_rpm": (1e-4, 1e4, RPM), "speed_sd": SD5, "noise_rad2_s3": (1e-9, 1e9, 1.0),
+        "noise_sd": SD5, "shaft_noise_rad2_s3": (1e-9, 1e9, 1.0), "shaft_noise_sd": SD5,
+        "hill_rad_s2": (1e-4, 1e5, 1.0), "hill_sd": SD5, "half_lash_deg": (1e-5, 90.0, DEG),
+        "half_lash_sd": SD5,
     },
     SleeveRecord: {
         "delay_ms": (1.0, 500.0, MS), "samples": (0.01, 1e4, 1.0),
@@ -69,12 +73,6 @@ LISTS: Final[dict[type, dict[str, tuple[int, Range]]]] = {
     BrakeRecord: {
         "emptying": (4, (0.1, 10.0, 1.0)), "emptying_sd": (4, (0.0, 2.0, 1.0)),
         "filling": (4, (0.1, 10.0, 1.0)), "filling_sd": (4, (0.0, 2.0, 1.0)),
-    },
-    SwingRecord: {
-        "frequency_hz": (2, (0.01, 1e3, TURN)), "frequency_sd": (2, SD5),
-        "damping": (2, (1e-4, 1.0, 1.0)), "damping_sd": (2, SD5),
-        "speed_rpm": (2, (1e-4, 1e4, RPM)), "speed_sd": (2, SD5),
-        "noise_rad2_s3": (3, (1e-9, 1e9, 1.0)), "noise_sd": (3, SD5),
     },
 }  # fmt: skip
 """How many numbers a list holds, and the range of each."""

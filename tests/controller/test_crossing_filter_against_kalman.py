@@ -23,7 +23,7 @@ from meshpoint.controller.estimation.crossing_filter import (
 from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, MAIN_FILTER, FilterKind
 from meshpoint.controller.estimation.teeth import TeethLearner
 from meshpoint.controller.motion.models import MotionModel, first_order_law
-from meshpoint.controller.motion.swing import ModeRates, SwingMotion
+from meshpoint.controller.motion.swing import SwingMotion, SwingRates
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.kernels.records import RecordMemory, Vector
@@ -34,7 +34,7 @@ TUNING = replace(
 )  # fmt: skip
 TOOTH_RAD = TUNING.tooth_error_rad
 A, G, FADING, LAW_PER_S, SUPPLY_PA = 0.8, 4e-4, 30.0, 12.0, 6e5
-WHITE, WALK, MODES = 40.0, 300.0, (ModeRates(110.0, 9.0, 500.0), ModeRates(25.0, 3.0, 20.0))
+WHITE, WALK, RATES = 40.0, 300.0, SwingRates(110.0, 9.0, 500.0)
 OFF = np.empty((2, 0))
 SWITCHES = np.array([[3000.0, 8500.0], [1.0, 0.0]])
 Moved = tuple[Vector, Vector]
@@ -59,19 +59,17 @@ def layshaft(z: Vector, p: Vector, seconds: float, on: bool) -> Moved:
 
 
 def swinging(z: Vector, p: Vector, seconds: float, on: bool) -> Moved:
-    """Angle, speed, steady acceleration, angle and speed of two modes; noise by Van Loan."""
-    a, q = np.zeros((7, 7)), np.zeros((7, 7))
-    a[0, 1] = a[1, 2] = 1.0
+    """Angle, speed, steady acceleration, angle and speed of the swing; noise by Van Loan."""
+    a, q = np.zeros((5, 5)), np.zeros((5, 5))
+    a[0, 1] = a[1, 2] = a[3, 4] = 1.0
+    a[4, 3:] = -(RATES.natural_rad_s**2), -2.0 * RATES.decay_per_s
+    a[1] += a[4]
     q[1, 1], q[2, 2] = WHITE, WALK
-    for i, mode in ((3, MODES[0]), (5, MODES[1])):
-        a[i, i + 1], a[i + 1, i] = 1.0, -(mode.natural_rad_s**2)
-        a[i + 1, i + 1] = -2.0 * mode.decay_per_s
-        a[1] += a[i + 1]
-        kick = np.eye(7)[1] + np.eye(7)[i + 1]  # what drives a mode drives the shaft
-        q += mode.noise_rad2_s3 * np.outer(kick, kick)
-    parts = expm(np.block([[-a, q], [np.zeros((7, 7)), a.T]]) * seconds)
-    f = parts[7:, 7:].T
-    return f @ z, f @ p @ f.T + f @ parts[:7, 7:]
+    kick = np.eye(5)[1] + np.eye(5)[4]  # what drives the swing drives the shaft
+    q += RATES.noise_rad2_s3 * np.outer(kick, kick)
+    parts = expm(np.block([[-a, q], [np.zeros((5, 5)), a.T]]) * seconds)
+    f = parts[5:, 5:].T
+    return f @ z, f @ p @ f.T + f @ parts[:5, 5:]
 
 
 class Shaft(NamedTuple):
@@ -106,9 +104,8 @@ LAYSHAFT = Shaft(
     np.array([5e-3, 1.5, 1e4, 5.0, 0.06, 3.0]), layshaft,
 )  # fmt: skip
 MAIN = Shaft(
-    MAIN_FILTER, SwingMotion(WHITE, WALK, MODES),
-    np.array([0.2, 60.0, -4.0, 4e-3, 0.7, -9e-3, 0.3]),
-    np.array([5e-3, 1.5, 4.0, 3e-3, 0.8, 8e-3, 0.4]), swinging,
+    MAIN_FILTER, SwingMotion(WHITE, WALK, RATES), np.array([0.2, 60.0, -4.0, 4e-3, 0.7]),
+    np.array([5e-3, 1.5, 4.0, 3e-3, 0.8]), swinging,
 )  # fmt: skip
 both_shafts = pytest.mark.parametrize("shaft", [LAYSHAFT, MAIN], ids=["layshaft", "main"])
 
@@ -248,8 +245,10 @@ def test_noise_that_heeds_the_innovations_grows_with_them() -> None:
     assert heeding.p[1, 1] > 2.0 * plain.p[1, 1]
 
 
-FREE = {"layshaft": a_law(0.0), "main": SwingMotion(0.0, 0.0, [m._replace(noise_rad2_s3=0.0)
-                                                               for m in MODES])}  # fmt: skip
+FREE = {
+    "layshaft": a_law(0.0),
+    "main": SwingMotion(0.0, 0.0, RATES._replace(noise_rad2_s3=0.0)),
+}
 
 
 @both_shafts
@@ -270,11 +269,9 @@ def test_a_window_s_equations_for_its_teeth_are_those_of_the_normal_law_of_its_e
         if shaft is LAYSHAFT:
             a[1, [1, 3, 5]], a[2, 2], a[3, 3] = (-A, 1.0, 1.0), -LAW_PER_S, -FADING
         else:
-            a[1, 2] = 1.0
-            for i, mode in ((3, MODES[0]), (5, MODES[1])):
-                a[i, i + 1] = 1.0
-                a[i + 1, i : i + 2] = -(mode.natural_rad_s**2), -2.0 * mode.decay_per_s
-                a[1] += a[i + 1]
+            a[1, 2] = a[3, 4] = 1.0
+            a[4, 3:] = -(RATES.natural_rad_s**2), -2.0 * RATES.decay_per_s
+            a[1] += a[4]
         return np.asarray(expm(a * wait)[:2])
 
     rows, speeds = np.array([by(wait) for wait in waits]).transpose(1, 0, 2)

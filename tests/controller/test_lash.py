@@ -344,8 +344,7 @@ def test_a_first_cloud_lies_anywhere_in_the_backlash() -> None:
 def believing_in_backlash() -> MainTracker:
     main = MainTracker(CrossingFilterTuning(), 45, range_ratios=(RATIO, 1.0))
     record = SwingRecord(
-        5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1), (0.3, 0.3), (1.0, 0.3), (1.0, 0.5),
-        (0.1, 0.1, 0.1), (1.0, 1.0, 1.0), 1.0, 0.3, True, 0.06, 0.3,
+        5, 120.0, 0.01, 0.05, 0.3, 1.0, 1.0, 0.1, 1.0, 0.1, 1.0, 1.0, 0.3, True, 0.06, 0.3,
     )  # fmt: skip
     main.restore(Range.LOW, record)
     return main

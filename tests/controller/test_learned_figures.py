@@ -24,7 +24,7 @@ from meshpoint.controller.estimation.lash_rivals import (
     Prediction,
 )
 from meshpoint.controller.estimation.likelihood import GROWTH, learn
-from meshpoint.controller.motion.swing_kernels import FIRST_MODE, STEADY, SWING_STATES
+from meshpoint.controller.motion.swing_kernels import RATE, STEADY, SWING, SWING_STATES
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import TURN
@@ -124,29 +124,22 @@ def test_of_several_minima_the_deepest_is_found_where_the_whole_range_is_looked_
 
 def test_a_driveline_s_swing_begins_with_what_the_settings_say() -> None:
     swing = DrivelineSwing(TUNING)
-    modes = swing.motion.part("modes")
-    assert modes["natural_rad_s"].tolist() == pytest.approx(
-        [TURN * TUNING.near_hz, TURN * TUNING.far_hz]
-    )
-    decay = TUNING.swing_damping * modes["natural_rad_s"]
-    assert modes["decay_per_s"] == pytest.approx(decay)
+    natural = TURN * TUNING.swing_hz
+    assert swing.motion.part("natural_rad_s")[0] == pytest.approx(natural)
+    assert swing.motion.part("decay_per_s")[0] == pytest.approx(TUNING.swing_damping * natural)
     lash = Lash(Axle(), TUNING.lash_rad, TUNING.lash_factor, 1.0)
     assert swing.record(lash.known, False) is None
 
 
-def test_what_is_not_known_of_a_mode_is_noise_that_drives_it() -> None:
+def test_what_is_not_known_of_a_swing_is_noise_that_drives_it() -> None:
     """Off by a share e of its frequency it accelerates otherwise by 2 e w times its speed v, for
     1 / w at a time: a density of (2 e w v)^2 / w, and the same of its decay."""
-    modes = DrivelineSwing(TUNING).motion.part("modes")
-    for m, (hertz, factor, speed) in enumerate(
-        ((TUNING.near_hz, TUNING.near_factor, TUNING.near_rad_s),
-         (TUNING.far_hz, TUNING.far_factor, TUNING.far_rad_s))
-    ):  # fmt: skip
-        w = TURN * hertz
-        by_frequency = (2.0 * math.log(factor) * w * speed) ** 2 / w
-        by_decay = (2.0 * TUNING.swing_damping * math.log(2.0) * w * speed) ** 2 / w
-        expected = TUNING.swing_noise_rad2_s3 + by_frequency + by_decay
-        assert modes["noise_rad2_s3"][m] == pytest.approx(expected)
+    w, speed = TURN * TUNING.swing_hz, TUNING.swing_rad_s
+    by_frequency = (2.0 * math.log(TUNING.swing_factor) * w * speed) ** 2 / w
+    by_decay = (2.0 * TUNING.swing_damping * math.log(2.0) * w * speed) ** 2 / w
+    expected = TUNING.swing_noise_rad2_s3 + by_frequency + by_decay
+    found = DrivelineSwing(TUNING).motion.part("noise_rad2_s3")[0]
+    assert found == pytest.approx(expected)
 
 
 def test_a_gear_that_comes_out_leaves_angle_and_speed_and_a_swing_of_any_phase() -> None:
@@ -158,30 +151,24 @@ def test_a_gear_that_comes_out_leaves_angle_and_speed_and_a_swing_of_any_phase()
     diagonal = np.diag(p)[2:]
     assert np.count_nonzero(p) == 4 + diagonal.size
     assert p[STEADY, STEADY] == pytest.approx((START_SHARE * TUNING.main_start_rad_s2) ** 2)
-    for m, (hertz, speed) in enumerate(
-        ((TUNING.near_hz, TUNING.near_rad_s), (TUNING.far_hz, TUNING.far_rad_s))
-    ):
-        i = FIRST_MODE + 2 * m
-        assert p[i + 1, i + 1] == pytest.approx((START_SHARE * speed) ** 2)
-        assert p[i, i] == pytest.approx(p[i + 1, i + 1] / (TURN * hertz) ** 2)
+    assert p[RATE, RATE] == pytest.approx((START_SHARE * TUNING.swing_rad_s) ** 2)
+    assert p[SWING, SWING] == pytest.approx(p[RATE, RATE] / (TURN * TUNING.swing_hz) ** 2)
 
 
 def test_a_swing_that_was_kept_is_taken_up_as_it_was() -> None:
     """Each figure no surer than it may be."""
     lash = Lash(Axle(), TUNING.lash_rad, TUNING.lash_factor, 1.0)
     kept = SwingRecord(
-        3, (120.0, 25.0), (0.01, 0.2), (0.04, 0.06), (0.3, 0.25), (1.1, 0.4), (0.9, 0.5),
-        (0.1, 0.2, 0.3), (0.8, 0.7, 0.6), 17.0, 0.35, True, lash.known.half.value,
-        lash.known.half.sd,
+        3, 120.0, 0.01, 0.04, 0.3, 1.1, 0.9, 0.1, 0.8, 0.3, 0.6, 17.0, 0.35, True,
+        lash.known.half.value, lash.known.half.sd,
     )  # fmt: skip
     swing = DrivelineSwing(TUNING)
     swing.restore(kept)
     again = swing.record(lash.known, True)
     assert again is not None
     assert vars(again) == {name: pytest.approx(value) for name, value in vars(kept).items()}
-    modes = swing.motion.part("modes")
-    assert modes["natural_rad_s"].tolist() == pytest.approx([120.0, 25.0])
-    assert modes["decay_per_s"].tolist() == pytest.approx([0.04 * 120.0, 0.06 * 25.0])
+    assert swing.motion.part("natural_rad_s")[0] == pytest.approx(120.0)
+    assert swing.motion.part("decay_per_s")[0] == pytest.approx(0.04 * 120.0)
     assert swing.motion.part("white_rad2_s3")[0] == pytest.approx(0.3)
 
 

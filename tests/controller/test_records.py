@@ -89,7 +89,7 @@ from meshpoint.controller.sensing.gate_kernels import gate_edges
 from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
+from meshpoint.controller.motion.swing import Swing, SwingMotion, SwingRates
 from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
 from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
 from meshpoint.controller.planning.plan_kernels import trajectory, expected_least
@@ -120,9 +120,9 @@ falls = rises + np.array([[0], [250]])
 gate.given[:] = rises.shape[1]
 found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64)
 n = gate_edges(gate.flat, wheel, rises, falls, found, numbers)
-motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)])
+motion = SwingMotion(0.5, 20.0, SwingRates(70.0, 3.0, 2.0))
 main = CrossingFilter(tuning, MAIN_FILTER)
-main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.0, 0.0]), np.diag(np.linspace(0.1, 2.0, 7)))
+main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0]), np.diag(np.linspace(0.1, 2.0, 5)))
 main.take(edges * [[1.0], [0.9]], 1e-3, Pressures(np.empty(0), np.empty(0)), switches, motion)
 swing = Swing(main.x, main.p, motion)
 ahead = np.empty((2, 20))

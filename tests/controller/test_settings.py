@@ -75,6 +75,8 @@ def test_without_a_file_the_defaults_hold_and_given_values_win(tmp_path: Path) -
         ("[aim]\ntarget_percent_of_gap = -91", ("target_percent_of_gap", "-91", "-90", "90")),
         ("[crossing_filter]\nfuse_input = true", ("fuse_input", "removed", "may be deleted")),
         ("[crossing_filter]\nmesh_side_ms = 30", ("mesh_side_ms", "removed", "may be deleted")),
+        ("[crossing_filter]\nfar_hz = 4", ("far_hz", "removed", "may be deleted")),
+        ("[crossing_filter]\nnear_rpm = 10", ("near_rpm", "removed", "swing_rpm")),
         ("[limits]\nattempts = 11", ("attempts", "11", "1", "10")),
         ("= what", ()),
         ("a" * 300_000, ("allowed",)),

@@ -18,7 +18,7 @@ from meshpoint.controller.estimation.figure import Figure, prior
 from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
+from meshpoint.controller.motion.swing import ShaftState, Swing, SwingMotion, SwingRates
 from meshpoint.controller.motion.swing_kernels import SWING_STATES
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
@@ -30,7 +30,7 @@ NO_SWITCHES = np.empty((2, 0))
 EDGES = 90
 JITTER_S = 10e-6
 OMEGA = 60.0
-QUIET = ModeRates(1.0, 0.5, 0.0)
+QUIET = SwingRates(1.0, 0.5, 0.0)
 
 
 @dataclass(frozen=True)
@@ -82,17 +82,17 @@ def edges_of(angle: Any, until_s: float, rng: np.random.Generator | None) -> Vec
 def state_of(masses: TwoMasses, twist: float, slip: float) -> Vector:
     share = masses.heavy_kgm2 / (masses.light_kgm2 + masses.heavy_kgm2)
     q, r = share * twist, share * slip
-    return np.array([q, OMEGA + r, 0.0, q, r, 0.0, 0.0])
+    return np.array([q, OMEGA + r, 0.0, q, r])
 
 
 def model_of(masses: TwoMasses, noise: float = 0.0) -> SwingMotion:
-    near = ModeRates(masses.natural_rad_s, masses.decay_per_s, noise)
-    return SwingMotion(0.0, 0.0, [near, QUIET])
+    rates = SwingRates(masses.natural_rad_s, masses.decay_per_s, noise)
+    return SwingMotion(0.0, 0.0, rates)
 
 
 def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> None:
     masses, twist, slip = TwoMasses(), 0.03, -4.0
-    swing = Swing(state_of(masses, twist, slip), np.zeros((7, 7)), model_of(masses))
+    swing = Swing(state_of(masses, twist, slip), np.zeros((5, 5)), model_of(masses))
     for t in (1e-4, 0.01, 0.05, 0.4):
         assert swing.ahead(t)[0] == pytest.approx(
             masses.angle(twist, slip, np.array([t]))[0], abs=1e-12
@@ -101,8 +101,8 @@ def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> 
 
 def started(masses: TwoMasses) -> tuple[Vector, Vector]:
     """What is known at the start of a window: nothing but rough angle and speed."""
-    p = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
-    return np.array([0.0, OMEGA, 0.0, 0.0, 0.0, 0.0, 0.0]), p
+    p = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2])
+    return np.array([0.0, OMEGA, 0.0, 0.0, 0.0]), p
 
 
 def test_45_ms_ahead_the_error_is_that_of_the_bound() -> None:
@@ -115,7 +115,6 @@ def test_45_ms_ahead_the_error_is_that_of_the_bound() -> None:
     errors, bounds = [], []
     for _ in range(40):
         x = rng.multivariate_normal(x0, p0)
-        x[5:] = 0.0
 
         def angle(t: Vector, x: Vector = x) -> Vector:
             return np.asarray(
@@ -135,7 +134,7 @@ def test_45_ms_ahead_the_error_is_that_of_the_bound() -> None:
         errors.append(found - angle(np.array([ahead_s]))[0])
         rows = responses(masses, edges[0] * 1e-6)
         r = (OMEGA * JITTER_S) ** 2 + 1e-12
-        information = np.linalg.inv(p0[:5, :5]) + rows.T @ rows / r
+        information = np.linalg.inv(p0) + rows.T @ rows / r
         last = responses(masses, np.array([ahead_s]))[0]
         bounds.append(last @ np.linalg.solve(information, last))
     ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(bounds))
@@ -148,7 +147,7 @@ def share(masses: TwoMasses) -> float:
 
 
 def responses(masses: TwoMasses, t: Vector) -> Vector:
-    """Angle at times by each of the first five states at the start."""
+    """Angle at times by each state at the start."""
     unit = (masses.angle(1.0, 0.0, t) - OMEGA * t) / share(masses)
     push = (masses.angle(0.0, 1.0, t) - OMEGA * t) / share(masses)
     return np.column_stack((np.ones_like(t), t, 0.5 * t * t, unit - 1.0, push - t))
@@ -177,7 +176,7 @@ def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() ->
         twist, slip = rng.normal(0.0, 0.03), rng.normal(0.0, 3.0)
         window = window_of(lambda t, a=twist, b=slip: masses.angle(a, b, t), k)
         edge_time = learned(swing, window, edge_time)
-    natural = swing.motion.part("modes")["natural_rad_s"][0]
+    natural = swing.motion.part("natural_rad_s")[0]
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
     record = swing.record(Lash(Axle(), 2.0 * math.exp(-4.0), 2.0, 1.0).known, has_lash=True)
     assert record is not None and record.has_lash
@@ -194,7 +193,7 @@ def test_a_driveline_that_does_not_swing_is_not_given_one() -> None:
         edge_time = learned(swing, window_of(lambda t: OMEGA * t, k), edge_time)
     x, p = np.zeros(SWING_STATES), np.zeros((SWING_STATES, SWING_STATES))
     swing.start(x, p)
-    assert math.sqrt(p[4, 4]) < 0.5 * TUNING.near_rad_s
+    assert math.sqrt(p[4, 4]) < 0.5 * TUNING.swing_rad_s
     assert edge_time.value == pytest.approx(JITTER_S, rel=0.3)
 
 
@@ -234,15 +233,15 @@ def test_a_motion_that_the_model_does_not_have_is_not_taken_for_teeth() -> None:
             )
             times += 5.0 * rng.standard_normal(times.size)
             edges = np.array((times, passed * 2.0 * math.pi / EDGES))
-            x0 = np.array([0.0, OMEGA + slip, 0.0, 0.0, slip, 0.0, 0.0])
-            p0 = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
+            x0 = np.array([0.0, OMEGA + slip, 0.0, 0.0, slip])
+            p0 = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2])
             teeth.learner.begin(0.0, x0, p0)
             teeth.learner.take_all(edges, places, model)
             teeth.end_window()
         return teeth
 
     slips = (-3.0, 2.0, -5.0, 4.0, 1.0, -1.0)
-    any_motion = SwingMotion(2.0 * TUNING.follow_rad_s2**2 * TUNING.follow_s, 25.0, [QUIET] * 2)
+    any_motion = SwingMotion(2.0 * TUNING.follow_rad_s2**2 * TUNING.follow_s, 25.0, QUIET)
     known = learned(any_motion, slips)
     assert known.learned
     assert (known.error_rad - errors).std() < 0.7 * errors.std()
@@ -251,10 +250,8 @@ def test_a_motion_that_the_model_does_not_have_is_not_taken_for_teeth() -> None:
 
 
 def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other() -> None:
-    modes = [ModeRates(110.0, 5.0, 2.0), ModeRates(26.0, 1.5, 2.0)]
-    motion = SwingMotion(1.0, 25.0, modes)
-    x = np.array([0.3, 52.0, -4.0, 0.008, 2.5, -0.01, 1.2])
-    p = np.diag([1e-5, 0.3, 20.0, 1e-3, 3.0, 1e-3, 3.0])
+    motion = SwingMotion(1.0, 25.0, SwingRates(110.0, 5.0, 2.0))
+    x, p = np.array([0.3, 52.0, -4.0, 0.008, 2.5]), np.diag([1e-5, 0.3, 20.0, 1e-3, 3.0])
     horizon_s, tick_s, edge_rad2_s, count = 0.045, 0.01, 1e-8, 20
     expected, now = [], Swing(x, p, motion)
     for _ in range(count):
@@ -288,11 +285,11 @@ def test_a_shaft_that_does_not_swing_keeps_its_acceleration() -> None:
 
 def test_a_shaft_that_swings_goes_on_as_its_swing_does_and_the_vehicle_without_it() -> None:
     """Counted from the state's own time; variances are straight between ticks of 10 ms."""
-    masses, x, p = TwoMasses(), state_of(TwoMasses(), 0.03, -4.0), np.diag([9e-6] + [1e-4] * 6)
+    masses, x, p = TwoMasses(), state_of(TwoMasses(), 0.03, -4.0), np.diag([9e-6] + [1e-4] * 4)
     shaft = BARE._replace(swing=Swing(x, p, model_of(masses), 2e-8))
     swing = shaft.swing
     assert isinstance(swing, Swing)
-    assert swing.speed_rad_s == pytest.approx(x[4] + x[6])
+    assert swing.speed_rad_s == pytest.approx(x[4])
     assert shaft.steady_omega_at(2.03e6) == pytest.approx(60.0 - 5.0 * 0.03 - swing.speed_rad_s)
     for wait_s in (0.0, 0.03, 0.1):
         at_us = 2e6 + 1e6 * wait_s
