@@ -222,7 +222,7 @@ class ControllerCore:
             self._probe.repeat()
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
-        self._observer.take(inputs, now_us, events, self._sequence.kiss.share)
+        self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)

@@ -176,15 +176,8 @@ class Observer:
         motion = free_motion(sheet, split, law, self._tuning, disturbance, friction_nms)
         self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
-    def take(
-        self,
-        inputs: StepInputs,
-        now_us: int,
-        events: list[str],
-        kiss_share: float | None = None,
-    ) -> None:
-        """One step's messages, at `now_us` of the controller's clock. kiss_share: where the
-        clutch's plates were found to begin to carry; None: where the data sheet says."""
+    def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:
+        """One step's messages, at `now_us` of the controller's clock."""
         self._learn_on()
         self._see_synchronisers(now_us)
         layshaft = self._read(
@@ -210,7 +203,7 @@ class Observer:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
-        self._see_load(inputs, self._sheet.clutch.kiss_share if kiss_share is None else kiss_share)
+        self._see_load(inputs)
         if self.recovery is not None:
             self.recovery.measure(events, self._layshaft_wheel.sensor.renumbered)
 
@@ -240,7 +233,7 @@ class Observer:
         layshaft, main = self._learners
         return layshaft.learned + main.learned
 
-    def _see_load(self, inputs: StepInputs, kiss_share: float) -> None:
+    def _see_load(self, inputs: StepInputs) -> None:
         """Follows what loads the gear in mesh."""
         if inputs.engine:
             said = inputs.engine[-1]
@@ -258,7 +251,8 @@ class Observer:
         shafts, torque_nm = shaft.shafts(gear.range_), self._torque_nm
         if shafts is None or torque_nm is None or closed is None:
             return
-        load = Load(torque_nm, closed > kiss_share, tracker.own_drag_nm)
+        carries = closed > self._sheet.clutch.kiss_share
+        load = Load(torque_nm, carries, tracker.own_drag_nm)
         self.loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
 
     def _see_synchronisers(self, now_us: int) -> None:

@@ -14,7 +14,6 @@ from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
-from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
@@ -67,7 +66,6 @@ class ShiftContext:
         self.references = references
         self.strategist = Strategist(sheet, settings)
         self.sleeves = Sleeves(sheet)
-        self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
         self.brake_gauges: deque[tuple[int, float]] = deque(maxlen=BRAKE_GAUGES)
@@ -127,16 +125,18 @@ class ShiftContext:
     def engine_carries(self, snapshot: StepSnapshot) -> bool:
         """Whether the engine's torque may go through the clutch into a gear."""
         closed = snapshot.view.clutch_closed or 0.0
-        return closed > self.kiss.share and snapshot.view.main_gear is not MainGear.NEUTRAL
+        return (
+            closed > self.sheet.clutch.kiss_share
+            and snapshot.view.main_gear is not MainGear.NEUTRAL
+        )
 
     def unloaded_us(self, snapshot: StepSnapshot, valve: ValveName | None) -> int | None:
         """The earliest activation (sensor time, us) of a valve that pulls a gear, or a step of
-        splitter or range, out: the sleeve begins to move as the plates part, where they were
-        learned to, and its teeth are out no sooner than they surely have. None while it is not
-        known that they will."""
-        clutch = snapshot.view.clutch
-        parted_us = clutch.falls_to_us(self.kiss.parted_share)
-        surely_us = clutch.falls_to_us(max(0.0, self.sheet.clutch.surely_open_share - SENSED_SHARE))
+        splitter or range, out: the sleeve begins to move as the plates are likely to part, and its
+        teeth are out no sooner than they surely have. None while it is not known that they will."""
+        clutch, sheet = snapshot.view.clutch, self.sheet.clutch
+        parted_us = clutch.falls_to_us(sheet.likely_open_share)
+        surely_us = clutch.falls_to_us(max(0.0, sheet.surely_open_share - SENSED_SHARE))
         if parted_us is None or surely_us is None:
             return None
         moves_us, out_us = self.sleeves.pull_us(valve)

@@ -88,7 +88,6 @@ class ShiftSequence(ShiftContext):
         if not self._rests(snapshot):
             # Forgotten once over: a sensor clock that restarts may come by that time again.
             self.ended_us = None
-        self.kiss.measure(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(
             snapshot.now_us,
             snapshot.engine_torque_share,

@@ -98,7 +98,7 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(target.split)
     clutch, sleeve = sheet.clutch, sheet.sleeve
-    parted_s = (context.kiss.share - clutch.surely_open_share) * clutch.open_delay_s
+    parted_s = (clutch.kiss_share - clutch.surely_open_share) * clutch.open_delay_s
     fall_s = parted_s + SEEN_LATE_US * US
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s

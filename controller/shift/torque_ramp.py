@@ -31,7 +31,7 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     if limits.ramp_ms == 0 or not context.engine_carries(snapshot):
         return True
     clutch = context.sheet.clutch
-    parting_s = clutch.open_delay_s * (1.0 - context.kiss.share)
+    parting_s = clutch.open_delay_s * (1.0 - clutch.kiss_share)
     left = context.torque.left_in(parting_s)
     if left is None:
         return True  # an engine that does not say how far it is cannot be waited for

@@ -327,6 +327,12 @@ class Clutch:
         """The plates are apart from here on, whichever clutch of the tolerance it is."""
         return max(0.0, self.kiss_share - self.kiss_tolerance)
 
+    @property
+    def likely_open_share(self) -> float:
+        """The plates are apart from here on in all but the clutches whose kiss point is lower by
+        more than half of the tolerance."""
+        return max(0.0, self.kiss_share - 0.5 * self.kiss_tolerance)
+
 
 @dataclass(frozen=True)
 class SheetLimits:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from loop_bench import Loop
 
 from meshpoint.controller.settings import ControllerSettings, EngineRequests
@@ -146,13 +145,3 @@ def test_a_jammed_sleeve_lets_no_air_into_the_brake() -> None:
     assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
     assert E.BRAKE_FILLS not in reported(loop)
     assert not any(command.brake_action in DRIVEN for command in loop.of(ValveCommand))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [3, 8])
-def test_the_kiss_point_of_this_gearbox_is_found(seed: int) -> None:
-    loop = Loop(shifts=6, sheet=TRUCK12, preset=Preset.TRUCK, seed=seed).run(20_000_000)
-    controller, rig = loop.core, loop.rig_core
-    kiss = controller.sequence.kiss
-    assert kiss.sd < 0.013
-    assert kiss.share == pytest.approx(rig.as_built["clutch"]["kiss"], abs=0.015)  # type: ignore[index]
