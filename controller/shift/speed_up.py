@@ -89,7 +89,8 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     """The slip (rad/s) to ask for: the slip wanted once the plates are measured apart, plus what
-    drag takes from their parting on. The measurement comes up to a sensor read and a tick later.
+    drag takes from the earliest on that plates of the sheet's tolerance part. The measurement comes
+    up to a sensor read and a tick later.
 
     Wanted is what the settings say, and with shafts so light that drag takes more than that within
     a stroke, as much as leaves the least slip at its end."""
@@ -98,7 +99,7 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(target.split)
     clutch, sleeve = sheet.clutch, sheet.sleeve
-    parted_s = (clutch.kiss_share - clutch.surely_open_share) * clutch.open_delay_s
+    parted_s = 2.0 * clutch.kiss_tolerance * clutch.open_delay_s
     fall_s = parted_s + SEEN_LATE_US * US
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s
