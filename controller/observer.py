@@ -245,14 +245,13 @@ class Observer:
         if self._learners is None:
             return
         view, (tracker, shaft) = self.view, self._learners
-        gear, closed = DRIVE_GEARS.get(view.gear_number), view.clutch_closed
+        gear = DRIVE_GEARS.get(view.gear_number)
         if gear is None or tracker.free:
             return
         shafts, torque_nm = shaft.shafts(gear.range_), self._torque_nm
-        if shafts is None or torque_nm is None or closed is None:
+        if shafts is None or torque_nm is None or view.clutch_closed is None:
             return
-        carries = closed > self._sheet.clutch.kiss_share
-        load = Load(torque_nm, carries, tracker.own_drag_nm)
+        load = Load(torque_nm, view.clutch_carries, tracker.own_drag_nm)
         self.loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
 
     def _see_synchronisers(self, now_us: int) -> None:

@@ -98,6 +98,7 @@ class GearboxView:
         """`SensorFault` of the newest frames, a bit a sensor."""
         self.clutch = ClutchTrack()
         self._clutch_open_share = sheet.clutch.surely_open_share
+        self._clutch_kiss_share = sheet.clutch.kiss_share
         self.supply_pa = math.inf
         """Absolute supply pressure; infinite before it was first seen."""
         self.brake_gauge_pa = 0.0
@@ -118,6 +119,11 @@ class GearboxView:
     def clutch_parted(self) -> bool:
         """Whether the clutch is measured so far open that its plates are surely apart."""
         return (self.clutch.closed or 0.0) <= self._clutch_open_share
+
+    @property
+    def clutch_carries(self) -> bool:
+        """Whether the clutch is measured so far closed that its plates touch."""
+        return (self.clutch.closed or 0.0) > self._clutch_kiss_share
 
     def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
         """Takes the positions of the main box. What a sensor says of itself to be wrong is none."""

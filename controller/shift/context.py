@@ -124,11 +124,8 @@ class ShiftContext:
 
     def engine_carries(self, snapshot: StepSnapshot) -> bool:
         """Whether the engine's torque may go through the clutch into a gear."""
-        closed = snapshot.view.clutch_closed or 0.0
-        return (
-            closed > self.sheet.clutch.kiss_share
-            and snapshot.view.main_gear is not MainGear.NEUTRAL
-        )
+        view = snapshot.view
+        return view.clutch_carries and view.main_gear is not MainGear.NEUTRAL
 
     def unloaded_us(self, snapshot: StepSnapshot, valve: ValveName | None) -> int | None:
         """The earliest activation (sensor time, us) of a valve that pulls a gear, or a step of

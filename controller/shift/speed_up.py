@@ -99,7 +99,8 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(target.split)
     clutch, sleeve = sheet.clutch, sheet.sleeve
-    parted_s = 2.0 * clutch.kiss_tolerance * clutch.open_delay_s
+    earliest_share = clutch.kiss_share + clutch.kiss_tolerance
+    parted_s = (earliest_share - clutch.surely_open_share) * clutch.open_delay_s
     fall_s = parted_s + SEEN_LATE_US * US
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s

@@ -20,7 +20,6 @@ SEED = 18
 PLAIN = ControllerSettings()
 HALF_A_RETRY_MS = 250.0
 """A sleeve that meets a tooth and is fired a second time costs some 500 ms (docs/strategy.md)."""
-"""It stands before the teeth for no longer."""
 
 
 def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> ShiftRow:
