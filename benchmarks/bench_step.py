@@ -3,8 +3,8 @@
     time    of each step of a run, processor time, the least of several repeats: a run is a function
             of its seed, so a step is the same each time, and other work slows it down in few of
             them. Mean and longest by the state that the step begins in; the tick is 10 ms
-    calls   functions of the controller and of what it stands on that a step enters in Python, and
-            files that they are in; compiled kernels are none
+    calls   functions of meshpoint that a step enters in Python, and files that they are in;
+            compiled kernels and libraries are none
 
 The run is of sheet truck12 by the profile asked for, after one that warms all up.
 """
@@ -17,11 +17,12 @@ import statistics
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NamedTuple
 
+import meshpoint
 import meshpoint.controller
+import meshpoint.dbc
 from benchmarks.shifts import make_shifts
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.core import ControllerCore
@@ -31,7 +32,10 @@ from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.setup import Setup
 
 SEED: Final = 2
-OURS: Final = str(Path(meshpoint.controller.__file__).resolve().parents[1])
+OURS: Final = tuple(
+    folder for of in (meshpoint, meshpoint.controller, meshpoint.dbc) for folder in of.__path__
+)
+"""Folders: an environment inside the repository is none of them."""
 
 
 class Taken(NamedTuple):

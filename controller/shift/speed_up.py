@@ -33,11 +33,12 @@ swings comes back, a vehicle that rolls downhill does not."""
 
 def too_slow(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
     """The gear is slower than its sleeve: asks for the engine, a limited number of times a
-    shift."""
+    shift. The gear then comes down from above anew, and may be braked as often as at first."""
     shift = context.running
     if shift.raises >= context.settings.limits.raises:
         return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
     shift.raises += 1
+    shift.pulses = 0
     shift.plan = shift.release_us = None
     context.all_off(snapshot.now_us)
     return Trigger.TOO_SLOW

@@ -140,7 +140,7 @@ class ShiftRecord:
     beyond_us: int | None = None
     """Since when the new gear would turn the input shaft faster than it may."""
     pulses: int = 0
-    """How often the brake was used."""
+    """How often the brake was used, since the engine last raised the gear."""
     steps_before: tuple[Split | None, Range | None] | None = None
     """Where splitter and range stood when their change began."""
     blocks: int = 0

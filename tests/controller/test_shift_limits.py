@@ -266,3 +266,17 @@ def test_the_engine_is_asked_to_raise_the_gear_no_more_often_than_is_set(raises:
     assert record.raises == raises
     assert record.result is ShiftResult.ENDED_IN_NEUTRAL
     assert box.trajectory.count(State.SPEED_RAISING) == raises
+
+
+def test_after_the_engine_has_raised_the_gear_the_brake_may_be_used_as_often_again() -> None:
+    """The gear comes down from above once more, here with the vehicle slowing on a hill."""
+    box = Box(7, 190.0, limits(pulses=1), phase_rad=0.01).ready()
+    box.ask(9)
+    while box.running():
+        box.step()
+        if box.state is State.COASTING and box.sequence.running.raises == 0:
+            box.layshaft *= 0.8  # somebody brakes it
+        if box.trajectory[-2:] == [State.CLUTCH_PARTING, State.COASTING]:
+            box.propeller *= 0.97
+    record = box.records[0]
+    assert (record.result, record.raises, record.pulses) == (ShiftResult.ENGAGED, 1, 1)
