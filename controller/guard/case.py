@@ -98,11 +98,13 @@ def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
 
 
 def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | None:
+    if action == OFF_NOW:
+        return None
     is_driven = was is not None and was.start_us <= now_us < was.end_us
     since_us = was.start_us if was is not None and is_driven else now_us
-    time_us = now_us + signed_us(time_32 - now_us)
     if action == ON_NOW:
         return Span(since_us, FOREVER_US)
+    time_us = now_us + signed_us(time_32 - now_us)
     if action == ON_AT:
         return Span(since_us if is_driven else max(time_us, now_us), FOREVER_US)
     if action == OFF_AT and is_driven and time_us > now_us:

@@ -80,9 +80,9 @@ STAMPS: Final = 27
 
 
 class Slow(NamedTuple):
-    """What a frame of positions or pressures says, SI, and when it was sampled (32 bits, us)."""
+    """What a frame of positions or pressures says, SI, and when it was sampled (sensor clock)."""
 
-    stamp: int
+    time_us: int
     values: tuple[float, ...]
     """Brake and supply pressure (Pa, absolute) and clutch (1: closed); or two sleeves' newest
     positions (m)."""
@@ -105,8 +105,8 @@ class Engine(NamedTuple):
 class Edges(NamedTuple):
     """The newest edges of a wheel."""
 
-    stamp: int
-    """When the sensor was read (32 bits, us)."""
+    time_us: int
+    """When the sensor was read (sensor clock)."""
     newest_index: int
     """Running number of the newest edge, 16 bits."""
     lows_us: tuple[int, ...]
@@ -168,23 +168,25 @@ class GuardEar:
         self.engine: list[Engine] = []
         """Those of this step."""
         self.clutch: list[tuple[int, float]] = []
-        """Of this step: stamps, and how far the clutch was closed."""
+        """Of this step: times, and how far the clutch was closed."""
         self.requested_gear: int | None = None
         """The gear asked for in this step; None where none was."""
         self.has_restarted = False
         """Whether the sensors' clock is another since this step: an array of edges has got emptier,
         or a message's time has gone back while its counter went on."""
         self._held = dict.fromkeys(EDGES, 0)
-        self.newest: dict[int, int] = {}
-        """The newest stamp of each message."""
+        self.newest_us: dict[int, int] = {}
+        """The newest time of each message."""
+        self._heard_us: int | None = None
+        """The time heard last: the next one's 32 bits go on from there."""
 
     def take(self, frames: Iterable[Frame], now_us: int) -> list[int]:
-        """One step's frames at `now_us` of the controller's clock. Returns the 32-bit times (us) of
-        the sensor clock that they carry."""
+        """One step's frames at `now_us` of the controller's clock. Returns the times (us) of the
+        sensor clock that they carry, as they came."""
         self.edges = {can_id: [] for can_id in EDGES}
         self.engine, self.clutch, self.requested_gear = [], [], None
         self.has_restarted = False
-        stamps: list[int] = []
+        times_us: list[int] = []
         for frame in frames:
             if not frame.is_extended:
                 continue
@@ -194,28 +196,27 @@ class GuardEar:
                 if can_id in (ENGINE_SPEED, GEAR_REQUEST):
                     self._hear_j1939(frame)
                 continue
-            good = channel.passes(frame, now_us) and self._read(can_id, frame.data)
+            time_us = self._time_us(frame.data) if channel.passes(frame, now_us) else None
+            good = time_us is not None and self._read(can_id, time_us, frame.data)
             channel.note(good)
-            if good:
-                (stamp,) = _stamp(frame.data, STAMP_AT)
-                if signed_us(stamp - self.newest.get(can_id, stamp)) < 0:
+            if time_us is not None and good:
+                if time_us < self.newest_us.get(can_id, time_us):
                     self.has_restarted = True
-                    stamps.clear()  # those of this step from before it
+                    times_us.clear()  # those of this step from before it
                     if can_id in self.edges:
                         del self.edges[can_id][:-1]
-                self.newest[can_id] = stamp
-                stamps.append(stamp)
+                self.newest_us[can_id] = time_us
+                times_us.append(time_us)
         for channel in self.channels.values():
             channel.tick(now_us)
-        return stamps
+        return times_us
 
     @property
     def hears_all(self) -> bool:
         """Whether no needed channel is lost, and no sensor of theirs says that it is out of
         range."""
-        return all(self.channels[can_id].is_valid for can_id in NEEDED) and not any(
-            slow.is_faulty for slow in self.slow.values()
-        )
+        lost = [can_id for can_id in NEEDED if not self.channels[can_id].is_valid]
+        return not lost and not any([slow.is_faulty for slow in self.slow.values()])
 
     def _hear_j1939(self, frame: Frame) -> None:
         """The engine's speed, or a request for a gear."""
@@ -235,9 +236,15 @@ class GuardEar:
             raw = data[GEAR_AT]
             self.requested_gear = raw - GEAR_OFFSET if raw <= GEAR_STEPS else None
 
-    def _read(self, can_id: int, data: bytes) -> bool:
-        """Keeps what a frame says; False where a value is none."""
+    def _time_us(self, data: bytes) -> int:
+        """When a frame's content was sampled, beyond the 32 bits that it has room for."""
         (stamp,) = _stamp(data, STAMP_AT)
+        heard_us = stamp if self._heard_us is None else self._heard_us
+        self._heard_us = heard_us + signed_us(stamp - heard_us)
+        return self._heard_us
+
+    def _read(self, can_id: int, time_us: int, data: bytes) -> bool:
+        """Keeps what a frame says; False where a value is none."""
         if can_id in self.edges:
             said = _edges(data, CONTENT_AT)
             index, shape = said[0], said[1]
@@ -249,16 +256,16 @@ class GuardEar:
                 self.edges[can_id].clear()
             self._held[can_id] = held
             usable = shape == held  # neither stopped, nor an interval too long, nor a faulty sensor
-            self.edges[can_id].append(Edges(stamp, index, said[2 : 2 + held] if usable else ()))
+            self.edges[can_id].append(Edges(time_us, index, said[2 : 2 + held] if usable else ()))
             return True
         if can_id == SENSORS:
             brake, supply, _, clutch = _sensors(data, CONTENT_AT)
             pressures = (brake * PRESSURE_STEP_PA, supply * PRESSURE_STEP_PA)
-            self.slow[can_id] = Slow(stamp, (*pressures, clutch / CLUTCH_STEPS))
-            self.clutch.append((stamp, clutch / CLUTCH_STEPS))
+            self.slow[can_id] = Slow(time_us, (*pressures, clutch / CLUTCH_STEPS))
+            self.clutch.append((time_us, clutch / CLUTCH_STEPS))
             return bool(clutch <= CLUTCH_STEPS)
         if can_id == VALVE_STATUS:
-            self.slow[can_id] = Slow(stamp, ())
+            self.slow[can_id] = Slow(time_us, ())
             return True
         fault, *samples = _sleeves(data, CONTENT_AT)
         if max(map(abs, samples)) > POSITION_STEPS:
@@ -266,5 +273,5 @@ class GuardEar:
         a, a_before, a_oldest, b, b_before, b_oldest = [each * POSITION_STEP_M for each in samples]
         speeds = ((a - a_before) / OVER_SPAN_S, (b - b_before) / OVER_SPAN_S)
         means = ((a - a_oldest) / FRAME_SPAN_S, (b - b_oldest) / FRAME_SPAN_S)
-        self.slow[can_id] = Slow(stamp, (a, b), bool(fault), speeds, means)
+        self.slow[can_id] = Slow(time_us, (a, b), bool(fault), speeds, means)
         return True

@@ -1,4 +1,4 @@
-"""The guard's own sensor clock, from the raw stamps of the frames it believes.
+"""The guard's own sensor clock, from the times of the frames it believes.
 
 The offset between the controller's clock and the sensors' is the least that `now - stamp` was
 lately: each second's least is kept for some seconds. Frames that come late, as after a node has
@@ -14,15 +14,15 @@ from typing import Final
 MODULUS: Final = 1 << 32
 SECOND: Final = 1_000_000
 SECONDS_KEPT: Final = 6
-"""Seconds in which stamps were heard: in silence nothing is forgotten."""
+"""Seconds in which frames were heard: in silence nothing is forgotten."""
 RESTARTED_US: Final = 500_000
-"""A stamp so far from where the clock should be is that of another clock, unless it only comes late
+"""A time so far from where the clock should be is that of another clock, unless it only comes late
 (`GOES_ON_US`)."""
 GOES_ON_US: Final = 100_000
-"""A stamp comes only late if it is behind where the clock should be, but no further ahead of the
+"""A time comes only late if it is behind where the clock should be, but no further ahead of the
 newest one than this."""
 BACK_US: Final = 20_000
-"""A stamp so far behind the newest is that of another clock too. A frame that only waited for the
+"""A time so far behind the newest is that of another clock too. A frame that only waited for the
 bus does no harm: the next one that did not wait gives the least again."""
 CAUGHT_UP_US: Final = 20_000
 """A second this much less late than the one before was one of catching up with what had waited:
@@ -35,7 +35,7 @@ def signed_us(difference: int) -> int:
 
 
 class GuardClock:
-    """The sensors' time, unwrapped."""
+    """What the sensors' clock reads at a time of the controller's."""
 
     def __init__(self) -> None:
         self._least: deque[tuple[int, int]] = deque(maxlen=SECONDS_KEPT)
@@ -46,22 +46,18 @@ class GuardClock:
 
     def restart(self) -> None:
         """The sensors have started anew, however near to the old clock the new one reads: with the
-        next stamp all before is forgotten."""
+        next frame all before is forgotten."""
         self._offset = None
 
-    def hear(self, stamp: int, now_us: int) -> bool:
-        """A stamp of a frame that is consumed at `now_us` of the controller's clock. True: it is of
-        another clock than those before it."""
-        newest_us, is_another = self._newest_us, False
-        if newest_us is None:
-            time_us = stamp
-        else:
-            ahead_us = signed_us(stamp - newest_us)
-            time_us = newest_us + ahead_us
-            is_another = self._is_of_another_clock(ahead_us, time_us, now_us)
-            if is_another:
-                self._least.clear()
-        self._newest_us = time_us
+    def hear(self, time_us: int, now_us: int) -> bool:
+        """The time of a frame that is consumed at `now_us` of the controller's clock. True: it is
+        of another clock than those before it."""
+        newest_us, self._newest_us = self._newest_us, time_us
+        is_another = newest_us is not None and self._is_of_another_clock(
+            time_us - newest_us, time_us, now_us
+        )
+        if is_another:
+            self._least.clear()
         offset, second = now_us - time_us, now_us // SECOND
         if not self._least or self._least[-1][0] != second:
             self._drop_what_waited()
@@ -86,5 +82,5 @@ class GuardClock:
         return abs(time_us - expected_us) > RESTARTED_US and not is_late
 
     def now_us(self, now_us: int) -> int | None:
-        """The sensor clock at `now_us` of the controller's; None before the first stamp."""
+        """The sensor clock at `now_us` of the controller's; None before the first frame."""
         return None if self._offset is None else now_us - self._offset

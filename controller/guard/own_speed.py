@@ -10,7 +10,6 @@ import math
 from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.listening import STAMPS, Edges
-from meshpoint.controller.guard.own_clock import signed_us
 
 MEASURED_US: Final = 15_000
 """A speed is taken over at least this time, as far as the frame has teeth."""
@@ -63,14 +62,13 @@ class GuardSpeed:
         self._measured = self.counted = None
         self._is_sure = False
 
-    def take(self, edges: Edges, now_us: int) -> None:
-        """A believed frame; now_us: the guard's sensor clock."""
+    def take(self, edges: Edges) -> None:
+        """A believed frame."""
         self._is_sure = False
         if len(edges.lows_us) <= 1:
             self._measured = None
             return
-        read_us = now_us + signed_us(edges.stamp - now_us)
-        newest_us = read_us - ((read_us - edges.lows_us[0]) & LOW)
+        newest_us = edges.time_us - ((edges.time_us - edges.lows_us[0]) & LOW)
         before = self.counted
         if before is None:
             self.counted = TeethCounted(newest_us, edges.newest_index)
@@ -78,7 +76,7 @@ class GuardSpeed:
             self.counted = TeethCounted(newest_us, before.teeth + teeth)
         else:
             newest_us = before.time_us  # no new edge, however young its 16 bits make it look
-        self._is_dead = read_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
+        self._is_dead = edges.time_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
         took_us = teeth_us(edges.lows_us)
         self._is_sure = bool(took_us) and len(edges.lows_us) == STAMPS
         if took_us and not self._is_dead:
@@ -97,10 +95,11 @@ class GuardSpeed:
             return None
         return speed if now_us - measured_us <= max(HELD_US, limit_us) else None
 
-    def turned(self, now_us: int) -> TeethCounted | None:
-        """The teeth that have passed, where they are sure and the wheel turns."""
-        speed = self.at(now_us) if self._is_sure else None
-        return None if speed is None or speed.omega_rad_s < SLOWEST_RAD_S else self.counted
+    def turned(self, speed: ShaftSpeed | None) -> TeethCounted | None:
+        """The teeth that have passed, where they are sure and the wheel turns at its newest
+        speed."""
+        turns = self._is_sure and speed is not None and speed.omega_rad_s >= SLOWEST_RAD_S
+        return self.counted if turns else None
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:

@@ -9,6 +9,7 @@ counts agree again.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum, auto
 from typing import Final
 
@@ -33,7 +34,7 @@ BESIDE: Final = ((1,), (0, 2), (1,))
 """Pairs that share a wheel with a pair."""
 MAIN_PAIR: Final = 1
 
-Counts = tuple[TeethCounted | None, ...]
+Counts = Sequence[TeethCounted | None]
 Ratios = tuple[float | None, float | None, float | None]
 
 

@@ -116,8 +116,7 @@ class GuardView:
         self._engine: tuple[int, Engine] = (0, NO_ENGINE)
         self._ahead_us: int | None = None
         self._late: dict[int, tuple[int, int]] = {}
-        """Newest stamp of each message, and how late it was by the controller's clock (32 bits,
-        signed)."""
+        """Newest time of each message, and how late it was by the controller's clock."""
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
@@ -130,21 +129,20 @@ class GuardView:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
         time that the step's commands are made for."""
         ear = self._ear
-        stamps = ear.take(frames, step_us)
+        # A step hears its frames message by message: after a hang their times go back and forth.
+        heard_us = sorted(ear.take(frames, step_us))
         if ear.has_restarted:
             self._begin_anew()
-        # A step hears its frames message by message: after a hang their times go back and forth.
-        in_order = sorted(stamps, key=lambda each: signed_us(each - stamps[0]))
         is_new = False
-        for stamp in in_order:
-            is_new = self._clock.hear(stamp, step_us) or is_new
+        for time_us in heard_us:
+            is_new = self._clock.hear(time_us, step_us) or is_new
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
         gained_us = max(self._gained_us(own_us, step_us), self._less_late_us(step_us))
         speeds = self._speeds(now_us)
         engine = self._engine_now(step_us)
-        for clutch_stamp, closed in ear.clutch:
-            self._see_clutch(clutch_stamp, closed)
+        for time_us, closed in ear.clutch:
+            self._see_clutch(time_us, closed)
         gear, error_us = ear.requested_gear, signed_us(believed_us - now_us)
         if len(ear.slow) < len(NEEDED):
             a, b, c, d = speeds
@@ -155,9 +153,9 @@ class GuardView:
         splitter_m, range_m = ear.slow[SLEEVES_AUX].values
         positions = (first_second_m, crawl_third_m, splitter_m, range_m)
         brake_pa, supply_pa, clutch = ear.slow[SENSORS].values
-        oldest_us = max([signed_us(now_us - slow.stamp) for slow in ear.slow.values()])
-        is_valid = ear.hears_all and oldest_us <= GUARD_FRESH_US
-        in_doubt = self._doubted(positions if is_valid else None, now_us)
+        oldest_us = min([slow.time_us for slow in ear.slow.values()])
+        is_valid = ear.hears_all and now_us - oldest_us <= GUARD_FRESH_US
+        in_doubt = self._doubted(positions if is_valid else None, speeds)
         a, b, c, d = (None if k in in_doubt else speed for k, speed in enumerate(speeds))
         return GuardInputs(
             now_us,
@@ -171,14 +169,14 @@ class GuardView:
             engine.speed_rad_s,
             gear,
             error_us,
-            now_us - signed_us(now_us - ear.slow[SLEEVES_MAIN].stamp),
+            ear.slow[SLEEVES_MAIN].time_us,
             ear.slow[SLEEVES_MAIN].speeds_m_s,
-            now_us - signed_us(now_us - ear.slow[SENSORS].stamp),
+            ear.slow[SENSORS].time_us,
             engine.torque_share,
             self._clutch_per_s,
             gained_us,
             is_new,
-            bool(stamps),
+            bool(heard_us),
             in_doubt,
             (self._swings[0].take(b), self._swings[1].take(c)),
             ear.slow[SLEEVES_MAIN].means_m_s,
@@ -206,39 +204,38 @@ class GuardView:
         """By how much a message of this step is less late than the last one of its kind, the most
         of all. It may be later than the clock knows a frame can come, and still catch up."""
         gained = []
-        for can_id, stamp in self._ear.newest.items():
+        for can_id, time_us in self._ear.newest_us.items():
             before = self._late.get(can_id)
-            if before is not None and before[0] == stamp:
+            if before is not None and before[0] == time_us:
                 continue
-            late_us = signed_us(step_us - stamp)
-            self._late[can_id] = (stamp, late_us)
+            late_us = step_us - time_us
+            self._late[can_id] = (time_us, late_us)
             if before is not None:
-                gained.append(signed_us(before[1] - late_us))
+                gained.append(before[1] - late_us)
         return max(gained, default=0)
 
-    def _see_clutch(self, stamp: int, closed: float) -> None:
-        before, self._clutch = self._clutch, (stamp, closed)
+    def _see_clutch(self, time_us: int, closed: float) -> None:
+        before, self._clutch = self._clutch, (time_us, closed)
         self._clutch_per_s = 0.0
-        if before is not None and 0 < signed_us(stamp - before[0]) <= CLUTCH_GAP_US:
-            self._clutch_per_s = (closed - before[1]) / signed_us(stamp - before[0]) * 1e6
+        if before is not None and 0 < time_us - before[0] <= CLUTCH_GAP_US:
+            self._clutch_per_s = (closed - before[1]) / (time_us - before[0]) * 1e6
 
     def _speeds(self, now_us: int) -> list[ShaftSpeed | None]:
         ear = self._ear
         for can_id, shaft in self._shafts.items():
             for edges in ear.edges[can_id]:
-                shaft.take(edges, now_us)
+                shaft.take(edges)
         return [
             shaft.at(now_us) if ear.channels[can_id].is_valid else None
             for can_id, shaft in self._shafts.items()
         ]
 
-    def _doubted(self, positions_m: tuple[float, ...] | None, now_us: int) -> tuple[int, ...]:
+    def _doubted(
+        self, positions_m: tuple[float, ...] | None, speeds: list[ShaftSpeed | None]
+    ) -> tuple[int, ...]:
         """Wheels that the others deny."""
-        counts = tuple(
-            shaft.turned(now_us) if self._ear.channels[can_id].is_valid else None
-            for can_id, shaft in self._shafts.items()
-        )
-        self._wheels.take(positions_m, counts)
+        shafts = zip(self._shafts.values(), speeds, strict=True)
+        self._wheels.take(positions_m, [shaft.turned(speed) for shaft, speed in shafts])
         return self._wheels.in_doubt
 
     def _engine_now(self, step_us: int) -> Engine:

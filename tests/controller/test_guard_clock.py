@@ -1,4 +1,4 @@
-"""The guard's own sensor clock: drift, wrap, late frames, restarts."""
+"""The guard's own sensor clock: drift, late frames, restarts."""
 
 from __future__ import annotations
 
@@ -6,42 +6,40 @@ import pytest
 
 from meshpoint.controller.guard.own_clock import GuardClock
 
-MODULUS = 1 << 32
 CYCLE_US = 10_000
 
 
 class Heard:
-    """A clock that hears a stamp each 10 ms; the sensors' clock is `ahead_us` of the controller's,
+    """A clock that hears a frame each 10 ms; the sensors' clock is `ahead_us` of the controller's,
     and frames take `delay_us`."""
 
-    def __init__(self, ahead_us: int = MODULUS - 1_000_000) -> None:
+    def __init__(self, ahead_us: int = 1 << 32) -> None:
         self.clock, self.ahead_us, self.now_us = GuardClock(), ahead_us, 0
 
     def run(self, cycles: int, delay_us: int = 3_000) -> None:
         for _ in range(cycles):
             self.now_us += CYCLE_US
-            self.clock.hear((self.now_us + self.ahead_us - delay_us) % MODULUS, self.now_us)
+            self.clock.hear(self.now_us + self.ahead_us - delay_us, self.now_us)
 
     @property
     def error_us(self) -> int:
         """What it says less the sensors' time."""
         said_us = self.clock.now_us(self.now_us)
         assert said_us is not None
-        return (said_us - self.now_us - self.ahead_us + MODULUS // 2) % MODULUS - MODULUS // 2
+        return said_us - self.now_us - self.ahead_us
 
 
-def test_before_the_first_stamp_there_is_no_time() -> None:
+def test_before_the_first_frame_there_is_no_time() -> None:
     assert GuardClock().now_us(5) is None
 
 
-def test_it_is_behind_by_the_least_delay_and_goes_on_over_the_wrap() -> None:
+def test_it_is_behind_by_the_least_delay() -> None:
     heard = Heard()
     heard.run(50, delay_us=9_000)
     assert heard.error_us == -9_000
     heard.run(1, delay_us=300)
     heard.run(250, delay_us=9_000)
     assert heard.error_us == -300
-    assert (heard.clock.now_us(heard.now_us) or 0) > MODULUS
 
 
 @pytest.mark.parametrize("late_us", [60_000, 700_000, 2_500_000])

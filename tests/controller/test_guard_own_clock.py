@@ -8,10 +8,10 @@ from meshpoint.controller.guard.own_clock import GuardClock, signed_us
 
 
 def clock_at(offset_us: int = 0, seconds: int = 1) -> GuardClock:
-    """Heard a stamp each 10 ms since 0: the sensors' clock is the controller's, less this."""
+    """Heard a frame each 10 ms since 0: the sensors' clock is the controller's, less this."""
     clock = GuardClock()
     for now_us in range(0, seconds * 1_000_000 + 1, 10_000):
-        clock.hear((now_us - offset_us) % (1 << 32), now_us)
+        clock.hear(now_us - offset_us, now_us)
     return clock
 
 

@@ -48,10 +48,10 @@ def test_a_sensor_that_was_silent_is_not_one_slow_tooth(silent_us: int) -> None:
     """The first edge behind a silence is young, and the gap before it as long as a whole span."""
     assert teeth_us(lows(90_000, silent_us, 2_100, 2_100)) == []
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(30_000, 20, lows(29_900, *[2_100] * 6)), 30_000)
+    shaft.take(Edges(30_000, 20, lows(29_900, *[2_100] * 6)))
     newest_us = 29_900 + silent_us
     back = Edges(newest_us + 100, 21, lows(newest_us, silent_us, *[2_100] * 5))
-    shaft.take(back, newest_us + 100)
+    shaft.take(back)
     speed = shaft.at(newest_us + 100)
     assert speed is None or speed.omega_rad_s == pytest.approx(PITCH / 2.1e-3)
     assert (speed is None) is (silent_us > 45_000)
@@ -61,7 +61,7 @@ def test_a_speed_is_the_mean_over_its_teeth_in_the_middle_of_their_time() -> Non
     shaft, now_us = GuardSpeed(TEETH), (5 << 32) + 70_000
     assert shaft.at(now_us) is None
     assert shaft.counted is None
-    shaft.take(Edges((now_us - 500) & 0xFFFF_FFFF, 7, lows(now_us - 900, *[4_000] * 6)), now_us)
+    shaft.take(Edges(now_us - 500, 7, lows(now_us - 900, *[4_000] * 6)))
     found = shaft.at(now_us)
     assert found == ShaftSpeed(now_us - 900 - 8_000, pytest.approx(PITCH / 4e-3))
     assert shaft.counted == TeethCounted(now_us - 900, 7)
@@ -69,35 +69,35 @@ def test_a_speed_is_the_mean_over_its_teeth_in_the_middle_of_their_time() -> Non
 
 def test_teeth_are_counted_on_and_never_by_a_stamp_that_only_looks_young() -> None:
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(10_000, 65_534, lows(9_000, 4_000, 4_000)), 10_000)
-    shaft.take(Edges(20_000, 3, lows(19_000, 4_000, 4_000)), 20_000)
+    shaft.take(Edges(10_000, 65_534, lows(9_000, 4_000, 4_000)))
+    shaft.take(Edges(20_000, 3, lows(19_000, 4_000, 4_000)))
     assert shaft.counted == TeethCounted(19_000, 65_534 + 5)
-    shaft.take(Edges(90_000, 3, lows(19_000, 4_000, 4_000)), 90_000)  # 19 ms + 65.5 ms = 84.5 ms
+    shaft.take(Edges(90_000, 3, lows(19_000, 4_000, 4_000)))  # 19 ms + 65.5 ms = 84.5 ms
     assert shaft.counted == TeethCounted(19_000, 65_534 + 5)
     assert shaft.at(90_000) is None
-    shaft.take(Edges(91_000, 4, lows(90_500, 4_000, 4_000)), 91_000)
+    shaft.take(Edges(91_000, 4, lows(90_500, 4_000, 4_000)))
     assert shaft.counted == TeethCounted(90_500, 65_534 + 6)
     assert shaft.at(91_000) is not None
 
 
 def test_two_edges_are_a_speed() -> None:
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(10_000, 5, lows(9_000, 4_000)), 10_000)
+    shaft.take(Edges(10_000, 5, lows(9_000, 4_000)))
     assert shaft.at(10_000) == ShaftSpeed(7_000, pytest.approx(PITCH / 4e-3))
 
 
 def test_a_tooth_is_as_old_as_it_was_when_its_sensor_was_read() -> None:
     """Read 3 ms ago, and 19.5 ms after its last edge."""
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(92_000, 5, lows(72_500, *[4_000] * 6)), 95_000)
+    shaft.take(Edges(92_000, 5, lows(72_500, *[4_000] * 6)))
     assert shaft.at(95_000) is not None
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_fewer_than_two_edges_are_no_speed(count: int) -> None:
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(10_000, 5, lows(9_000, 4_000, 4_000)), 10_000)
-    shaft.take(Edges(20_000, 5, lows(9_000)[:count]), 20_000)
+    shaft.take(Edges(10_000, 5, lows(9_000, 4_000, 4_000)))
+    shaft.take(Edges(20_000, 5, lows(9_000)[:count]))
     assert shaft.at(20_000) is None
 
 
@@ -109,9 +109,9 @@ def test_a_sensor_is_dead_after_20_ms_or_three_teeth(
     tooth_us: int, silent_us: int, is_dead: bool
 ) -> None:
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(30_000, 5, lows(30_000, *[tooth_us] * 6)), 30_000)
+    shaft.take(Edges(30_000, 5, lows(30_000, *[tooth_us] * 6)))
     now_us = 30_000 + silent_us
-    shaft.take(Edges(now_us, 5, lows(30_000, *[tooth_us] * 6)), now_us)
+    shaft.take(Edges(now_us, 5, lows(30_000, *[tooth_us] * 6)))
     assert (shaft.at(now_us) is None) is is_dead
 
 
@@ -123,7 +123,7 @@ def test_a_shaft_without_frames_is_lost_after_25_ms_or_three_teeth(
     tooth_us: int, silent_us: int, is_lost: bool
 ) -> None:
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(30_000, 5, lows(30_000, *[tooth_us] * 6)), 30_000)
+    shaft.take(Edges(30_000, 5, lows(30_000, *[tooth_us] * 6)))
     assert (shaft.at(30_000 + silent_us) is None) is is_lost
 
 
@@ -136,9 +136,9 @@ def test_an_earlier_speed_stands_in_for_teeth_that_are_unlike(
     tooth_us: int, held_us: int, is_lost: bool
 ) -> None:
     shaft = GuardSpeed(TEETH)
-    shaft.take(Edges(30_000, 5, lows(30_000, *[tooth_us] * 3)), 30_000)
+    shaft.take(Edges(30_000, 5, lows(30_000, *[tooth_us] * 3)))
     before = shaft.at(30_000)
     for now_us in (45_000, 30_000 + held_us):
-        shaft.take(Edges(now_us, now_us // 1_000, lows(now_us, 1_000, 9_000)), now_us)
+        shaft.take(Edges(now_us, now_us // 1_000, lows(now_us, 1_000, 9_000)))
     assert before is not None
     assert shaft.at(30_000 + held_us) == (None if is_lost else before)
