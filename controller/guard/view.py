@@ -234,8 +234,8 @@ class GuardView:
         self, positions_m: tuple[float, ...] | None, speeds: list[ShaftSpeed | None]
     ) -> tuple[int, ...]:
         """Wheels that the others deny."""
-        shafts = zip(self._shafts.values(), speeds, strict=True)
-        self._wheels.take(positions_m, [shaft.turned(speed) for shaft, speed in shafts])
+        counts = list(map(GuardSpeed.turned, self._shafts.values(), speeds))
+        self._wheels.take(positions_m, counts)
         return self._wheels.in_doubt
 
     def _engine_now(self, step_us: int) -> Engine:

@@ -93,6 +93,19 @@ def test_a_tooth_is_as_old_as_it_was_when_its_sensor_was_read() -> None:
     assert shaft.at(95_000) is not None
 
 
+@pytest.mark.parametrize(
+    ("rad_s", "held", "is_counted"),
+    [(5.0, 27, True), (4.999, 27, False), (None, 27, False), (100.0, 26, False)],
+)
+def test_teeth_count_while_a_wheel_turns_and_its_array_is_full(
+    rad_s: float | None, held: int, is_counted: bool
+) -> None:
+    shaft = GuardSpeed(TEETH)
+    shaft.take(Edges(60_000, 5, lows(59_000, *[2_000] * (held - 1))))
+    speed = None if rad_s is None else ShaftSpeed(59_000, rad_s)
+    assert shaft.turned(speed) == (TeethCounted(59_000, 5) if is_counted else None)
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_fewer_than_two_edges_are_no_speed(count: int) -> None:
     shaft = GuardSpeed(TEETH)
