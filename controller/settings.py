@@ -164,8 +164,8 @@ class ShiftLimits:
     raises: int = count("raises", 0, 10, default=3)
     """How often the engine is asked to bring the layshaft up in one shift."""
     pulses: int = count("pulses", 0, 10, default=3)
-    """How often the brake is used in one shift, and again after each time that the engine has raised
-    the gear."""
+    """How often the brake is used in one shift, and again after each time that the engine has
+    raised the gear."""
     blocks: int = count("blocks", 1, 100, default=8)
     """A shift ends when the guard has blocked its commands this often."""
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.5e5)

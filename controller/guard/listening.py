@@ -216,7 +216,8 @@ class GuardEar:
         """Whether no needed channel is lost, and no sensor of theirs says that it is out of
         range."""
         lost = [can_id for can_id in NEEDED if not self.channels[can_id].is_valid]
-        return not lost and not any([slow.is_faulty for slow in self.slow.values()])
+        faulty = [slow for slow in self.slow.values() if slow.is_faulty]
+        return not (lost or faulty)
 
     def _hear_j1939(self, frame: Frame) -> None:
         """The engine's speed, or a request for a gear."""
