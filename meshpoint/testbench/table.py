@@ -52,6 +52,7 @@ COMMANDS: Final = {
     "tell": Command(LOGS, "a log in plain words, one line an event", "watch.tell"),
     "identify": Command(LOGS, "a log's gearbox as a data sheet: brake, delays, teeth"),
     "compare": Command(LOGS, "two logs, two --json records, or two settings files"),
+    "convert": Command(LOGS, "a log as time series: MCAP, MF4, Parquet; a bus live to viewers"),
     "captures": Command(LOGS, "edges captured from real sensors: the teeth, or a log"),
     "campaign": Command(MANY, "strategies compared on the same seeded draws"),
     "show": Command(LOOK, "a data sheet, settings, calibration, or the bus's messages"),
@@ -61,7 +62,6 @@ COMMANDS: Final = {
 MOVED: Final = {
     "calibration": "`meshpoint show calibration`",
     "completion": "`meshpoint help completion`",
-    "convert": "`meshpoint captures FILE -o LOG`",
     "dbc": "`meshpoint show messages`",
     "gearbox": "`meshpoint show gearbox`",
     "health": "`meshpoint check --alive NODE`",

@@ -134,7 +134,7 @@ def test_help_fits_80_columns_and_has_pythoncans_arguments_in_one_line(
     assert "--bus-kwargs" not in help_
     opens_a_bus = name in (
             "demo", "up", "rig", "controller", "request", "watch", "check", "commission",
-            "help",
+            "convert", "help",
         )  # fmt: skip
     assert help_.count("meshpoint help bus") == opens_a_bus
 

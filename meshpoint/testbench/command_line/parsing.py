@@ -68,6 +68,11 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint commission --drawn 20 --gearbox truck12",
     ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
+    "convert": (
+        "meshpoint convert x.log -o x.mcap",
+        "meshpoint convert logs/ -o x.mf4 --gearbox box.toml",
+        "meshpoint convert --live -i socketcan -c can0",
+    ),
     "captures": (
         "meshpoint captures my-captures --json -",
         "meshpoint captures wheel.csv -o wheel.log",

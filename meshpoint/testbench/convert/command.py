@@ -1,0 +1,162 @@
+"""`meshpoint convert`: a log as time series for viewers, or a bus live."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from meshpoint.bus.frames import frame_of
+from meshpoint.bus.logs.files import log_files
+from meshpoint.bus.logs.reader import LogError
+from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.log_progress import read_in_sensor_time
+from meshpoint.testbench.convert.foxglove_sink import LOCALHOST, live_view, mcap_file
+from meshpoint.testbench.convert.mf4_sink import mf4_file
+from meshpoint.testbench.convert.parquet_sink import parquet_file
+from meshpoint.testbench.convert.series import TimeSeries
+from meshpoint.testbench.convert.sink import Event, InOrder, Sink
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.log_clock import Entry, Unpack
+from meshpoint.testbench.results.output import complain, console, tell
+from meshpoint.testbench.watch.story import Story
+
+FILES: Final = {".mcap": mcap_file, ".mf4": mf4_file, ".parquet": parquet_file}
+"""What is written, by the file's ending."""
+LIVE_PORT: Final = 8765
+"""The one that viewers propose."""
+PORTS: Final = range(1, 65536)
+WAIT_S: Final = 0.05
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "convert",
+        description="The signals of a log as time series in SI units: each at the time at which it "
+        "was sampled, tooth edges one by one, what was estimated beside what was true (topic "
+        "Compared; of the virtual rig alone), and what happened in words. -o writes a file by its "
+        "ending: .mcap for Foxglove, Lichtblick and PlotJuggler, .mf4 for MDF viewers, .parquet "
+        "for pandas, DuckDB and the like. --live serves the same of a bus to viewers on this "
+        "machine. .mcap and --live need meshpoint[mcap], .mf4 needs meshpoint[mf4].",
+    )
+    parser.add_argument(
+        "log", type=Path, nargs="*", metavar="LOG", help=f"{arguments.LOGS_HELP}; none with --live"
+    )
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("-o", "--output", type=Path, metavar="FILE", help="the file to write")
+    where.add_argument(
+        "--live",
+        type=int,
+        nargs="?",
+        const=LIVE_PORT,
+        metavar="PORT",
+        help=f"serve a bus as a Foxglove WebSocket on localhost until Ctrl-C (port: {LIVE_PORT})",
+    )
+    arguments.add_gearbox(parser)
+    arguments.add_wire(parser)
+    add_bus_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Writes the file, up to a defect in the log; or serves until Ctrl-C."""
+    if namespace.live is not None:
+        return _serve(namespace)
+    if not namespace.log:
+        raise CommandError("-o without LOG: there is nothing to convert")
+    path: Path = namespace.output
+    if path.suffix not in FILES:
+        raise CommandError(f"-o {path}: ends in {path.suffix!r}, allowed are {', '.join(FILES)}")
+    files, sheet = log_files(namespace.log), arguments.sheet_of(namespace)
+    unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
+    with _beside(path) as beside, FILES[path.suffix](beside) as sink:
+        writing = Writing(sink, unpack)
+        if said:
+            complain(f"meshpoint convert: {said}")
+        with console("-").status("converting"):
+            defect = writing.take_all(entries)
+    tell(f"{path}: {writing.samples:,} samples, {writing.events:,} events")
+    if defect is not None:
+        complain(f"meshpoint convert: {defect}; what is written is all that stands before it")
+        return Exit.BAD_INPUT
+    return Exit.DONE
+
+
+class Writing:
+    """Frames to samples and events, and these to where they go. What was sampled before the first
+    frame came is left out."""
+
+    def __init__(self, sink: Sink, unpack: Unpack) -> None:
+        self._sink, self._unpack = sink, unpack
+        self._series, self._story, self._order = TimeSeries(), Story(), InOrder()
+        self._begun_s: float | None = None
+        self.samples = self.events = 0
+
+    def take_all(self, entries: Iterable[Entry]) -> LogError | None:
+        """A whole log; the defect that ended it early. LogError where it begins with one."""
+        try:
+            for time_s, frame in entries:
+                self.take(time_s, frame)
+        except LogError as error:
+            if self._begun_s is None:
+                raise
+            return error
+        finally:
+            self._give(self._order.rest())
+        return None
+
+    def take(self, time_s: float, frame: Any) -> None:
+        """A frame of the bus."""
+        if self._begun_s is None:
+            self._begun_s = time_s
+        for inner in self._unpack(frame):
+            for sample in self._series.take(time_s, inner):
+                if sample.time_s >= self._begun_s:  # MCAP has no time before a log's zero
+                    self._order.add(sample)
+            for line in self._story.receive(time_s, inner):
+                self._sink.event(Event(self._begun_s + line.at_s, line.who, line.words))
+                self.events += 1
+        self._give(self._order.until(time_s))
+
+    def _give(self, samples: Iterable[Any]) -> None:
+        for sample in samples:
+            self._sink.sample(sample)
+            self.samples += 1
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A name beside the file's: whoever reads it has the old one or the whole new one."""
+    beside = path.with_name(f".{path.stem}.new{path.suffix}")
+    try:
+        yield beside
+        beside.replace(path)
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _serve(namespace: argparse.Namespace) -> int:
+    if namespace.log:
+        raise CommandError("--live with LOG: it serves a bus; of a log -o writes a file")
+    if namespace.live not in PORTS:
+        raise CommandError(f"--live {namespace.live}: allowed are {PORTS[0]} to {PORTS[-1]}")
+    unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
+    with open_bus_from(namespace) as bus, live_view(namespace.live) as sink:
+        tell(f"ws://{LOCALHOST}:{namespace.live} until Ctrl-C")
+        writing, begun_s = Writing(sink, unpack), time.time() - time.monotonic()
+        try:
+            while True:
+                message = bus.recv(WAIT_S)
+                if message is None or message.is_error_frame or message.is_remote_frame:
+                    continue
+                writing.take(begun_s + time.monotonic(), frame_of(message))
+        except KeyboardInterrupt:
+            return Exit.DONE  # the way to end it

@@ -1,0 +1,58 @@
+"""Where time series go: what a file or a viewer has to take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from heapq import heappop, heappush
+from typing import Final, NamedTuple, Protocol
+
+from meshpoint.testbench.convert.series import Sample
+
+HELD_S: Final = 0.1
+"""A frame brings samples from before it: for so long they wait for those of other frames."""
+
+
+class Event(NamedTuple):
+    """Something that happened, in words."""
+
+    time_s: float
+    who: str
+    words: str
+
+
+class Sink(Protocol):
+    """Takes rows and events, in the order of their times as far as the sensors' clock goes on."""
+
+    def sample(self, sample: Sample) -> None:
+        """A row of a topic."""
+
+    def event(self, event: Event) -> None:
+        """Something that happened."""
+
+
+OpenSink = AbstractContextManager[Sink]
+"""It is complete once it is left."""
+
+
+class InOrder:
+    """Samples by their times, each with those that belong to the time before it."""
+
+    def __init__(self) -> None:
+        self._held: list[tuple[float, int, Sample]] = []
+        self._count = 0
+
+    def add(self, sample: Sample) -> None:
+        """One more."""
+        heappush(self._held, (sample.time_s, self._count, sample))
+        self._count += 1
+
+    def until(self, time_s: float) -> Iterator[Sample]:
+        """Those that no later frame can come before, at this time of the bus."""
+        while self._held and self._held[0][0] <= time_s - HELD_S:
+            yield heappop(self._held)[2]
+
+    def rest(self) -> Iterator[Sample]:
+        """All that are left."""
+        while self._held:
+            yield heappop(self._held)[2]
