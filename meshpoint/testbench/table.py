@@ -41,6 +41,7 @@ COMMANDS: Final = {
     "demo": Command(TRY, "both nodes live, both strategies: table, picture, verified log"),
     "simulate": Command(TRY, "shifts in virtual time: one process, no waiting"),
     "play": Command(TRY, "a page on which you fire the sleeve yourself"),
+    "fmu": Command(TRY, "the virtual gearbox as an FMU, for other simulators"),
     "up": Command(LIVE, "rig and controller in one terminal, until Ctrl-C", "live.up"),
     "controller": Command(LIVE, "the transmission controller as a node on a CAN bus", "live.nodes"),
     "rig": Command(LIVE, "the virtual gearbox as a node on a CAN bus", "live.nodes"),

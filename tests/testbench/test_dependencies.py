@@ -17,8 +17,9 @@ SETTINGS: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(enc
 FOLDERS = ("controller", "dbc", "meshpoint", "rig_sim")
 INSTALLS = {"autosar_e2e": "autosar-e2e", "e2e": "autosar-e2e", "can": "python-can"}
 """Where a package is imported by another name than it is installed by."""
-OPTIONAL = {"dask": "distributed", "cryptography": "cryptography", "foxglove": "foxglove-sdk"}
-"""Imported by `campaign --dask`, by `--keys` and by `convert` alone, which name their extras."""
+OPTIONAL = {"dask": "distributed", "cryptography": "cryptography", "foxglove": "foxglove-sdk",
+            "pythonfmu3": "pythonfmu3"}  # fmt: skip
+"""Imported by `campaign --dask`, `--keys`, `convert` and `fmu` alone, which name their extras."""
 LOADS_US = {"pytest_plugin.py": "pytest"}
 """A file that is loaded by that package alone."""
 
@@ -48,6 +49,6 @@ def test_what_a_folder_imports_is_always_installed(folder: str) -> None:
 def test_the_extras_of_earlier_versions_are_still_names() -> None:
     extras = SETTINGS["project"]["optional-dependencies"]
     assert {"all", "campaign", "plot", "report"} <= set(extras)
-    assert names([*extras["dask"], *extras["authentication"], *extras["mcap"]]) == set(
-        OPTIONAL.values()
-    )
+    assert names(
+        [*extras["dask"], *extras["authentication"], *extras["mcap"], *extras["fmu"]]
+    ) == set(OPTIONAL.values())

@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from meshpoint.testbench.convert.extra import needed
 from meshpoint.testbench.convert.series import TOPICS, Sample, Signal
 from meshpoint.testbench.convert.sink import Event, Sink
 from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.extra import needed
 
 if TYPE_CHECKING:
     from foxglove import Channel, Context

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.testbench.convert.extra import needed
 from meshpoint.testbench.convert.series import TOPICS, Sample
 from meshpoint.testbench.convert.sink import Event, Sink
+from meshpoint.testbench.extra import needed
 
 EXTRA: Final = "mf4"
 GROUP_ROWS: Final = 50_000
