@@ -75,8 +75,6 @@ OUTSIDE_S: Final = 0.05
 OUTSIDE: Final = 0.1
 """Added cost of a contact outside the allowed slips, in s, and in s for each rad/s: it is chosen
 only if the gaps within reach are all outside, and then the nearest."""
-NODE: Final = 1.7320508075688772
-"""Three-point Gauss-Hermite: nodes 0 and +-sqrt(3), weights 2/3 and 1/6."""
 
 
 @compiled
@@ -171,58 +169,38 @@ def contact_cost(
 
 @compiled
 def cheapest(
-    phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector,
-    shift_rad: float,
-) -> tuple[int, float]:  # fmt: skip
+    phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector
+) -> tuple[int, float]:
     """Index and cost of the cheapest contact of a trajectory: phase and slip at each contact, and
     the phase's variance without what the delay adds.
 
-    contacts: a `ContactSeries`; terms: `Terms`; shift_rad is added to the phase."""
+    contacts: a `ContactSeries`; terms: `Terms`."""
     series, price = record_on(contacts, CONTACT_SERIES), record_on(terms, TERMS)
     best, least = 0, math.inf
     for k in range(phase.shape[0]):
         later = k * series.step_s
-        shifted = phase[k] + shift_rad
-        cost = contact_cost(series.wait_s + later, shifted, slip[k], variance[k], price, least)
+        cost = contact_cost(series.wait_s + later, phase[k], slip[k], variance[k], price, least)
         if cost < least:
             best, least = k, cost
     return best, least
 
 
 @compiled
-def expected_least(
-    phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector,
-    spread_rad: float,
-) -> tuple[int, float]:  # fmt: skip
-    """Index of the contact that would be chosen now, and the expected cost if it is chosen later,
-    when part of the phase's present uncertainty (`spread_rad`, standard deviation) is resolved."""
-    best, least = cheapest(phase, slip, variance, contacts, terms, 0.0)
-    total = least * 2.0 / 3.0
-    for sign in (-1.0, 1.0):
-        _, cost = cheapest(phase, slip, variance, contacts, terms, sign * NODE * spread_rad)
-        total += cost / 6.0
-    return best, total
-
-
-@compiled
 def best_trajectory(
-    found: Vector, variance: Vector, waits_s: Vector, contacts: Vector, terms: Vector,
-    spread_rad: float,
-) -> tuple[int, int, float]:  # fmt: skip
-    """Of several trajectories, found (m, 2, n), the one of `expected_least`: its index, and what
-    that has of it.
+    found: Vector, variance: Vector, waits_s: Vector, contacts: Vector, terms: Vector
+) -> tuple[int, int]:
+    """Of several trajectories, found (m, 2, n), the one with the cheapest contact, and the index of
+    that contact.
 
     waits_s (m,): from now to the first contact of each, `ContactSeries.wait_s`, which is set."""
     series = record_on(contacts, CONTACT_SERIES)
     chosen, best, least = 0, 0, math.inf
     for r in range(found.shape[0]):
         series.wait_s = waits_s[r]
-        index, cost = expected_least(
-            found[r, 0], found[r, 1], variance, contacts, terms, spread_rad
-        )
+        index, cost = cheapest(found[r, 0], found[r, 1], variance, contacts, terms)
         if cost < least:
             chosen, best, least = r, index, cost
-    return chosen, best, least
+    return chosen, best
 
 
 def warm_up() -> None:
@@ -236,5 +214,5 @@ def warm_up() -> None:
     trajectories(np.ones(STATES), np.empty((3, 0)), model, meeting, np.ones((3, 1)), found)
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
     one, terms = np.ones(1), np.ones(TERMS.itemsize // WORD_BYTES)
-    cheapest(one, one, one, contacts, terms, 0.0)
-    best_trajectory(found, one, one, contacts, terms, 0.1)
+    cheapest(one, one, one, contacts, terms)
+    best_trajectory(found, one, one, contacts, terms)

@@ -92,7 +92,7 @@ from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import Swing, SwingMotion, SwingRates
 from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
 from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
-from meshpoint.controller.planning.plan_kernels import trajectory, expected_least
+from meshpoint.controller.planning.plan_kernels import cheapest, trajectory
 from meshpoint.kernels.records import filled
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.controller.estimation.teeth import WheelTeeth
@@ -135,7 +135,7 @@ variance = np.interp(np.arange(20.0), np.arange(5) * 4.0, swing.outlook(0.05, 0.
 terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overlap_s=2e-3,
     delay_sd_s=1e-3, miss_s=0.2, block_s=0.1, block_slip_rad_s=1.0, energy_s3_rad2=1e-3,
     aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)
-least = expected_least(ahead[0], ahead[1], variance, contacts, terms, 0.01)
+least = cheapest(ahead[0], ahead[1], variance, contacts, terms)
 later = shaft.at(edges[0, -1] + 20e3, switches, model)
 warm_up(baselines=True)
 print(json.dumps([shaft.x.tolist(), shaft.p.tolist(),

@@ -57,14 +57,7 @@ LATER_SHARE: Final = 0.7
 """Releases are tried until so much after the unaimed one: with `EARLIER_SHARE` more than a
 pitch."""
 RELEASES: Final = 14
-"""Number of releases that are tried first, before more around the best."""
-CLOSE_SHARE: Final = 5
-"""The close steps are smaller than the first ones by this factor, or less (`CLOSE_OF_GAP`)."""
-CLOSE_OF_GAP: Final = 0.15
-"""A close step moves the phase by no more than this share of a backlash."""
-COASTS_US: Final = (90_000.0, 60_000.0, 30_000.0, 0.0)
-"""A release may be so much earlier, and the gear coast so much longer: what the valve's scatter and
-the brake's fading have done to its speed is known by then."""
+"""Number of releases that are tried: the firing makes up for what lies between two of them."""
 MOST_REACH_US: Final = 40_000.0
 LEAST_REACH_US: Final = 500.0
 """The span of the releases looked at is kept within these."""
@@ -146,23 +139,25 @@ class TargetPhase:
         return min(max(reach_us, LEAST_REACH_US), MOST_REACH_US)
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
-        """Release and contact planned together: of the releases around those that leave
-        `window.aim_slip_rpm` after one of the coasts, the one of least expected cost."""
-        slip, least, chosen = self._window.aim_slip_rad_s, math.inf, range(0)
-        for coast_us in COASTS_US:
-            settle_us = self._settle_us + coast_us
-            release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
-            if not chosen and release_us > earliest_us + NEAR_US:
-                return ReleasePlan(release_us, release_us + round(settle_us))
-            steps = self._releases(predictor, earliest_us, release_us)
-            plan, cost = self._best_release(predictor, now_us, earliest_us, steps)
-            if cost < least:
-                least, best, chosen = cost, plan.release_us, steps
-        reach_us = self._reach_us(predictor, best)
-        gap_us = CLOSE_OF_GAP * self._dog.backlash_rad / self._dog.pitch_rad * reach_us
-        close_us = max(1, round(min(chosen.step / CLOSE_SHARE, gap_us)))
-        around = range(max(earliest_us, best - chosen.step), best + chosen.step + 1, close_us)
-        return self._best_release(predictor, now_us, earliest_us, around)[0]
+        """Release and contact planned together: of the releases around the one that leaves
+        `window.aim_slip_rpm`, the one whose best contact costs least."""
+        slip, settle_us = self._window.aim_slip_rad_s, self._settle_us
+        release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
+        if release_us > earliest_us + NEAR_US:
+            return ReleasePlan(release_us, release_us + round(settle_us))
+        releases_us = self._releases(predictor, earliest_us, release_us)
+        step_us, count = self._steps(predictor, releases_us[0])
+        delay_us = predictor.delay_us
+        fires_us = [max(each - delay_us + CLEAR_US, earliest_us) for each in releases_us]
+        firsts_us = [float(fire_us + delay_us) for fire_us in fires_us]
+        found = predictor.trajectories(releases_us, firsts_us, step_us, count)
+        first = Trajectory(firsts_us[0], step_us, *found[0])
+        settled = self._settled_variances(predictor, first, now_us, releases_us[0])
+        waits_s = (np.array(firsts_us) - now_us) / SECOND_US
+        chosen, index = best_trajectory(
+            found, settled, waits_s, _contacts(first, now_us), self._terms(predictor)
+        )
+        return ReleasePlan(releases_us[chosen], round(firsts_us[chosen] + index * step_us))
 
     def _releases(self, predictor: GearPredictor, earliest_us: int, release_us: int) -> range:
         """The releases around one that together move the phase by more than a pitch."""
@@ -171,24 +166,6 @@ class TargetPhase:
         last_us = release_us + round(LATER_SHARE * reach_us)
         step_us = max(1, round((EARLIER_SHARE + LATER_SHARE) * reach_us / RELEASES))
         return range(first_us, last_us + 1, step_us)
-
-    def _best_release(
-        self, predictor: GearPredictor, now_us: int, earliest_us: int, releases_us: range
-    ) -> tuple[ReleasePlan, float]:
-        """The release of least expected cost with the contact that goes with it, and the cost."""
-        step_us, count = self._steps(predictor, releases_us[0])
-        delay_us = predictor.delay_us
-        fires_us = [max(each - delay_us + CLEAR_US, earliest_us) for each in releases_us]
-        firsts_us = [float(fire_us + delay_us) for fire_us in fires_us]
-        found = predictor.trajectories(releases_us, firsts_us, step_us, count)
-        first = Trajectory(firsts_us[0], step_us, *found[0])
-        spread, settled = self._spread_at_release(predictor, first, now_us, releases_us[0])
-        waits_s = (np.array(firsts_us) - now_us) / SECOND_US
-        chosen, index, cost = best_trajectory(
-            found, settled, waits_s, _contacts(first, now_us), self._terms(predictor), spread
-        )
-        contact_us = round(firsts_us[chosen] + index * step_us)
-        return ReleasePlan(releases_us[chosen], contact_us), cost
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
@@ -205,20 +182,19 @@ class TargetPhase:
         """A trajectory's cheapest contact, and its cost (s)."""
         phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
         contacts, terms = _contacts(trajectory, now_us), self._terms(predictor)
-        return cheapest(phase, slip, variances, contacts, terms, 0.0)
+        return cheapest(phase, slip, variances, contacts, terms)
 
-    def _spread_at_release(
+    def _settled_variances(
         self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int
-    ) -> tuple[float, Vector]:
-        """Standard deviation of the phase at the first contact as it is predicted now, and the
-        variances that are left when the sleeve for each contact can last be stopped."""
+    ) -> Vector:
+        """Variances of the phase that are left when the sleeve for each contact can last be
+        stopped."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
         known_us = known_until_stop_us(predictor, self._timing)
         before = round((max(0.0, first_us - firing_us) + known_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
-        now = predictor.estimate_variance(first_us) + self._reference_variance
-        return math.sqrt(now), settled + self._reference_variance
+        return np.asarray(settled + self._reference_variance)
 
     def _terms(self, predictor: GearPredictor) -> Vector:
         """The terms of `plan_kernels` for this gear."""
