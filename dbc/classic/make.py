@@ -43,9 +43,15 @@ def make_dbc() -> str:
     lines += [line for line in fd if line.startswith('BA_ "NmStationAddress"')]
     for message in CONTRACT.messages:
         lines += _attributes(message)
+    lines += [line for line in fd if line.startswith('BA_ "SPN"') and _is_kept(line)]
     for message in CONTRACT.messages:
         lines += _values(message)
     return "\n".join(lines) + "\n"
+
+
+def _is_kept(line: str) -> bool:
+    """Whether an attribute's line is of a message that is the same in both profiles."""
+    return int(line.split()[3]) & ~EXTENDED in {message.can_id for message in CONTRACT.messages}
 
 
 def _definition(line: str) -> str:

@@ -59,7 +59,6 @@ REASONS: Final = {
     "gap_posterior.py: INDEPENDENT": SHARES,
     "gap_posterior.py: MEASUREMENT_SHARES": SHARES,
     "gap_posterior.py: BEYOND_SD": "chance: standard deviations; the rig's is a ratio of frictions",
-    "target_phase.py: CLOSE_OF_GAP": SHARES,
     "reporter.py: _gear": "chance: a gear's number",
     "valve_name.py: SPLIT_LOW": VALVES,
     "case.py: SPLITTER": VALVES,

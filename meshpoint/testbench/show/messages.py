@@ -12,6 +12,7 @@ from rich.table import Table
 from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc import DBC_PATH, DBC_SHA256
 from meshpoint.dbc.classic.source import CLASSIC_DBC
+from meshpoint.dbc.j1939_view import J1939_DBC
 from meshpoint.dbc.schema import SCHEMA, parse_schema
 from meshpoint.dbc.specs import MessageSpec, Schema, SignalSpec
 from meshpoint.testbench.command_line import arguments
@@ -31,6 +32,12 @@ def add_parser(things: Any) -> None:
     parser.add_argument(
         "--path", action="store_true", help="print where the file is, for tools that read DBC"
     )
+    parser.add_argument(
+        "--j1939",
+        action="store_true",
+        help="with --path: the file that has the messages of the standard alone, by PGN, for tools "
+        "that know J1939",
+    )
     arguments.add_wire(parser)
     arguments.add_json(parser)
     parser.set_defaults(run=run)
@@ -41,8 +48,10 @@ def run(namespace: argparse.Namespace) -> int:
     out = console(namespace.json)
     is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
     path = CLASSIC_DBC if is_classic else DBC_PATH
+    if namespace.j1939 and not namespace.path:
+        raise CommandError("--j1939 without --path: it is a file for other tools")
     if namespace.path:
-        tell(str(path))
+        tell(str(J1939_DBC if namespace.j1939 else path))
         return Exit.DONE
     schema, sha256 = _classic(path) if is_classic else (SCHEMA, DBC_SHA256)
     chosen = None if namespace.message is None else _message(schema, namespace.message)
