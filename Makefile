@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices study swarm faults planted mutants digests demo docs test installed wheel acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants digests demo docs test installed wheel acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -133,6 +133,14 @@ types: $(VENV)/test.stamp
 reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.help.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
+
+# What is made from dbc/meshpoint.dbc, after a change of it.
+dbc: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.dbc.stubs
+	$(BIN)/python -m meshpoint.dbc.classic.make
+	$(BIN)/python -m meshpoint.dbc.j1939_view
+	$(BIN)/python tests/dbc/test_frozen_contract.py
+	$(MAKE) reference
 
 # docs/figures.toml into the documents that show its figures; NAME=typical: measures that one again first.
 figures: $(VENV)/test.stamp
