@@ -32,6 +32,7 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.truck.as_built import draw_as_built
 from meshpoint.testbench.campaign import table as campaign_table
 from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.campaign.table import MOST_COLUMNS
 from meshpoint.testbench.campaign.verdict_words import against_table
 from meshpoint.testbench.captures import command as captures_command
 from meshpoint.testbench.check.command import findings_table
@@ -165,8 +166,12 @@ TABLES: dict[str, Callable[[], Table]] = {
     "report.comparison.comparison_table": lambda: comparison_table(
         compare({name: [ROW] * 1000 for name in STRATEGIES}), GEARBOX
     ),
-    "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values(), GEARBOX),
-    "campaign.table._parts": lambda: campaign_table._parts(campaign_values(), GEARBOX),
+    "campaign.table._strategies": lambda: campaign_table._strategies(
+        campaign_values(), list(STRATEGIES)[:MOST_COLUMNS], GEARBOX
+    ),
+    "campaign.table._parts": lambda: campaign_table._parts(
+        campaign_values(), list(STRATEGIES)[:MOST_COLUMNS], GEARBOX
+    ),
     "campaign.table._ratios": lambda: campaign_table._ratios(
         campaign_values()["ratios"], STRATEGIES, GEARBOX
     ),
@@ -237,6 +242,17 @@ def check(table: Table) -> None:
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_fits_80_columns(name: str) -> None:
     check(TABLES[name]())
+
+
+def test_more_strategies_than_have_room_stand_in_a_table_below() -> None:
+    values, out = campaign_values() | {"ratios": {}}, io.StringIO()
+    names = ["one", "two", "three", "four", "five", "six"]
+    values["strategies"] = dict.fromkeys(names, next(iter(values["strategies"].values())))
+    console = Console(file=out, width=WIDTH, force_terminal=False, color_system=None)
+    campaign_table.print_tables(console, values, GEARBOX)
+    words = out.getvalue().split()
+    assert [words.count(name) for name in names] == [2] * len(names)
+    assert "…" not in out.getvalue()
 
 
 def test_a_ratio_names_both_strategies_each_on_lines_of_its_own() -> None:

@@ -13,44 +13,51 @@ from meshpoint.testbench.results.output import TRIES, broken, number, tries
 from meshpoint.testbench.results.shift_parts import TITLES as PART_TITLES
 
 
+MOST_COLUMNS: Final = 4
+"""Strategies beside each other in 80 columns; more are a table below."""
+
+
 def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:
     """Strategies side by side, where their time went, then the ratios between them. gearbox: which
     ones, as the titles say it."""
-    out.print(_strategies(values, gearbox))
-    out.print()
-    out.print(_parts(values, gearbox))
+    names = list(values["strategies"])
+    blocks = [names[k : k + MOST_COLUMNS] for k in range(0, len(names), MOST_COLUMNS)]
+    for k, table in enumerate(
+        [make(values, each, gearbox) for make in (_strategies, _parts) for each in blocks]
+    ):
+        if k > 0:
+            out.print()
+        out.print(table)
     if values["ratios"]:
         out.print()
         out.print(_ratios(values["ratios"], list(values["strategies"]), gearbox))
 
 
-def _strategies(values: dict[str, Any], gearbox: str) -> Table:
-    """A column a strategy, a line a figure: as many fit as are compared."""
+def _strategies(values: dict[str, Any], names: list[str], gearbox: str) -> Table:
+    """A column a strategy, a line a figure."""
     table = Table(
         title=f"{values['runs']} runs, {gearbox}, 95 % intervals", title_justify="left",
         box=None, pad_edge=False,
     )  # fmt: skip
-    strategies: dict[str, dict[str, Any]] = values["strategies"]
     table.add_column("", no_wrap=True)
-    for name in strategies:
+    for name in names:
         table.add_column(broken(name), justify="right")
     for title, cell in CELLS.items():
-        table.add_row(title, *(cell(figures) for figures in strategies.values()))
+        table.add_row(title, *(cell(values["strategies"][name]) for name in names))
     return table
 
 
-def _parts(values: dict[str, Any], gearbox: str) -> Table:
+def _parts(values: dict[str, Any], names: list[str], gearbox: str) -> Table:
     """Where the milliseconds go: mean of each part over the shifts that have it."""
     table = Table(
         title=f"mean ms by part of the shift, by the rig's truth,\n{gearbox}", title_justify="left",
         box=None, pad_edge=False,
     )  # fmt: skip
-    strategies: dict[str, dict[str, Any]] = values["strategies"]
     table.add_column("", no_wrap=True)
-    for name in strategies:
+    for name in names:
         table.add_column(broken(name), justify="right")
     for part, title in PART_TITLES.items():
-        cells = [number(figures["phases_ms"][part], 1) for figures in strategies.values()]
+        cells = [number(values["strategies"][name]["phases_ms"][part], 1) for name in names]
         if any(cell != "-" for cell in cells):
             table.add_row(title, *cells)
     return table
