@@ -12,7 +12,6 @@ from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.results.output import TRIES, broken, number, tries
 from meshpoint.testbench.results.shift_parts import TITLES as PART_TITLES
 
-
 MOST_COLUMNS: Final = 4
 """Strategies beside each other in 80 columns; more are a table below."""
 
