@@ -112,10 +112,30 @@ def test_what_was_estimated_stands_beside_what_was_true_at_that_instant(
     assert np.median(np.abs(off)) < 0.01
 
 
-def test_rows_stand_in_the_order_of_their_times(rows: Rows) -> None:
+def test_rows_stand_in_the_order_of_their_times(log: Path, rows: Rows) -> None:
     for topic, found in rows.items():
         times = [at for at, _ in found]
         assert times == sorted(times), topic
+    times = pq.read_table(converted(log, ".parquet")).column("time_s").to_pylist()
+    assert times == sorted(times)
+
+
+def test_an_instant_is_compared_once(rows: Rows) -> None:
+    """A controller estimates twice where it steps as soon as a read begins; the last counts."""
+    times = [at for at, _ in rows["/Compared"]]
+    assert len(set(times)) == len(times)
+
+
+def test_an_mdf_of_a_log_with_a_date_begins_at_it(log: Path, tmp_path: Path) -> None:
+    dated, target = tmp_path / "dated.log", tmp_path / "x.mf4"
+    first_s = 1.7e9
+    lines = [re.sub(r"^\(([\d.]+)\)", lambda m: f"({float(m[1]) + first_s:.6f})", line)
+             for line in log.read_text().splitlines(keepends=True)[:3000]]  # fmt: skip
+    dated.write_text("".join(lines))
+    assert main(["convert", str(dated), "-o", str(target)]) == 0
+    mdf = asammdf.MDF(target)
+    assert mdf.header.start_time.timestamp() == pytest.approx(first_s, abs=0.1)
+    assert 0.0 <= mdf.get("EEC1.engine_speed_rad_s").timestamps[0] < 0.1
 
 
 def test_what_happened_is_told_in_words(log: Path, rows: Rows) -> None:
@@ -157,6 +177,27 @@ def test_a_defect_ends_the_file_with_what_stands_before_it(
     assert main(["convert", str(broken), "-o", str(target)]) == 2
     assert "line 2001" in capsys.readouterr().err
     assert pq.read_table(target).num_rows > 2000
+
+
+def test_a_log_is_not_written_over_by_its_own_series(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "x.mcap"
+    target.hardlink_to(log)
+    before = log.read_bytes()
+    assert main(["convert", str(log), "-o", str(target)]) == 2
+    assert "x.mcap: is the log itself" in capsys.readouterr().err
+    assert log.read_bytes() == before
+
+
+def test_a_log_of_another_bus_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign = tmp_path / "foreign.log"
+    foreign.write_text("".join(f"({k * 0.01:.6f}) can0 123#0011223344556677\n" for k in range(50)))
+    assert main(["convert", str(foreign), "-o", str(tmp_path / "x.parquet")]) == 2
+    assert "of 50 frames none is a message of fd (--profile)" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["foreign.log"]
 
 
 @pytest.mark.parametrize(

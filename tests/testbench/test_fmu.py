@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 from collections.abc import Iterator
@@ -73,8 +74,9 @@ class Unit:
         )
 
     def end(self) -> None:
+        """Its library stays loaded: unloaded, it may abort this Python at its end (docs/fmu.md)."""
         self.slave.terminate()
-        self.slave.freeInstance()
+        self.slave.fmi3FreeInstance(self.slave.component)
         shutil.rmtree(self.folder)
 
 
@@ -191,11 +193,40 @@ def test_uphill_the_vehicle_slows_more_without_torque(fmu: Path) -> None:
     "parameters",
     [{"profile": "rough"}, {"gearbox": "nowhere.toml"}, {"start_gear": 15}, {"seed": -1}],
 )
-def test_a_parameter_that_cannot_be_used_ends_the_initialisation(
-    fmu: Path, parameters: dict[str, Any]
+def test_with_a_parameter_that_cannot_be_used_there_is_no_step(
+    fmu: Path, parameters: dict[str, Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
+    unit = Unit(fmu, **parameters)
     with pytest.raises(FMICallException):
-        Unit(fmu, **parameters)
+        unit.step(0)
+    unit.end()
+    assert f"{next(iter(parameters))}: " in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("slope_added_percent", math.nan),
+        ("slope_added_percent", 1e4),
+        ("engine_control", 7),
+        ("engine_torque_asked_fraction", math.inf),
+        ("bench_gear", 15),
+    ],
+)
+def test_an_input_that_cannot_be_ends_the_step(unit: Unit, name: str, value: float) -> None:
+    unit.step(0)
+    unit.put(name, value)
+    with pytest.raises(FMICallException):
+        unit.step(1)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "step_s"), [(0.01, 0.0), (0.01, -0.1), (0.01, math.nan), (0.0, 0.01), (5.0, 0.01)]
+)
+def test_time_goes_on_step_by_step(unit: Unit, time_s: float, step_s: float) -> None:
+    unit.step(0)
+    with pytest.raises(FMICallException):
+        unit.slave.doStep(currentCommunicationPoint=time_s, communicationStepSize=step_s)
 
 
 @pytest.mark.parametrize("step_us", [500, 1_000, 2_500, 50_000])

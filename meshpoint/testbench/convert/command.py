@@ -18,7 +18,7 @@ from meshpoint.testbench.command_line.log_progress import read_in_sensor_time
 from meshpoint.testbench.convert.foxglove_sink import LOCALHOST, live_view, mcap_file
 from meshpoint.testbench.convert.mf4_sink import mf4_file
 from meshpoint.testbench.convert.parquet_sink import parquet_file
-from meshpoint.testbench.convert.series import TimeSeries
+from meshpoint.testbench.convert.series import Sample, TimeSeries
 from meshpoint.testbench.convert.sink import Event, InOrder, Sink
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -32,6 +32,7 @@ LIVE_PORT: Final = 8765
 """The one that viewers propose."""
 PORTS: Final = range(1, 65536)
 WAIT_S: Final = 0.05
+BACK_S: Final = 1.0
 
 
 def add_parser(commands: Any) -> None:
@@ -74,13 +75,22 @@ def run(namespace: argparse.Namespace) -> int:
     if path.suffix not in FILES:
         raise CommandError(f"-o {path}: ends in {path.suffix!r}, allowed are {', '.join(FILES)}")
     files, sheet = log_files(namespace.log), arguments.sheet_of(namespace)
+    if path.exists() and any(path.samefile(file) for file in files):
+        raise CommandError(f"-o {path}: is the log itself")
     unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
-    with _beside(path) as beside, FILES[path.suffix](beside) as sink:
-        writing = Writing(sink, unpack)
-        if said:
-            complain(f"meshpoint convert: {said}")
-        with console("-").status("converting"):
+    with _beside(path) as beside:
+        with FILES[path.suffix](beside) as sink, console("-").status("converting"):
+            writing = Writing(sink, unpack)
             defect = writing.take_all(entries)
+        if not writing.samples:
+            raise CommandError(
+                f"{files[0]}: of {writing.frames:,} frames none is a message of {namespace.wire} "
+                "(--profile): nothing was written"
+            )
+    if said:
+        complain(f"meshpoint convert: {said}")
+    if writing.went_back:
+        complain("meshpoint convert: the log's time goes back: its parts lie over each other")
     tell(f"{path}: {writing.samples:,} samples, {writing.events:,} events")
     if defect is not None:
         complain(f"meshpoint convert: {defect}; what is written is all that stands before it")
@@ -96,7 +106,10 @@ class Writing:
         self._sink, self._unpack = sink, unpack
         self._series, self._story, self._order = TimeSeries(), Story(), InOrder()
         self._begun_s: float | None = None
-        self.samples = self.events = 0
+        self._newest_s = 0.0
+        self.frames = self.samples = self.events = 0
+        self.went_back = False
+        """The time of a frame was long before that of another that stands before it."""
 
     def take_all(self, entries: Iterable[Entry]) -> LogError | None:
         """A whole log; the defect that ended it early. LogError where it begins with one."""
@@ -114,20 +127,26 @@ class Writing:
     def take(self, time_s: float, frame: Any) -> None:
         """A frame of the bus."""
         if self._begun_s is None:
-            self._begun_s = time_s
+            self._begun_s = self._newest_s = time_s
+        self.frames += 1
+        self.went_back |= time_s < self._newest_s - BACK_S
+        self._newest_s = max(self._newest_s, time_s)
         for inner in self._unpack(frame):
             for sample in self._series.take(time_s, inner):
                 if sample.time_s >= self._begun_s:  # MCAP has no time before a log's zero
                     self._order.add(sample)
             for line in self._story.receive(time_s, inner):
-                self._sink.event(Event(self._begun_s + line.at_s, line.who, line.words))
-                self.events += 1
+                self._order.add(Event(self._begun_s + line.at_s, line.who, line.words))
         self._give(self._order.until(time_s))
 
-    def _give(self, samples: Iterable[Any]) -> None:
-        for sample in samples:
-            self._sink.sample(sample)
-            self.samples += 1
+    def _give(self, found: Iterable[Sample | Event]) -> None:
+        for one in found:
+            if isinstance(one, Event):
+                self._sink.event(one)
+                self.events += 1
+            else:
+                self._sink.sample(one)
+                self.samples += 1
 
 
 @contextmanager
@@ -150,7 +169,7 @@ def _serve(namespace: argparse.Namespace) -> int:
         raise CommandError(f"--live {namespace.live}: allowed are {PORTS[0]} to {PORTS[-1]}")
     unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
     with open_bus_from(namespace) as bus, live_view(namespace.live) as sink:
-        tell(f"ws://{LOCALHOST}:{namespace.live} until Ctrl-C")
+        tell(f"{bus.channel_info}: ws://{LOCALHOST}:{namespace.live} until Ctrl-C")
         writing, begun_s = Writing(sink, unpack), time.time() - time.monotonic()
         try:
             while True:

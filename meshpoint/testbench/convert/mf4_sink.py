@@ -9,6 +9,7 @@ import math
 from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,8 @@ EXTRA: Final = "mf4"
 GROUP_ROWS: Final = 50_000
 """Rows of a topic that are held before they are handed on."""
 EVENT_BYTES: Final = 200
+LEAST_DATE_S: Final = 1e8
+"""A log whose first time is less counts from its own start."""
 
 
 @contextmanager
@@ -43,14 +46,15 @@ class Mf4Sink:
         self._groups: dict[str, int] = {}
         self._held: dict[str, tuple[array[float], list[array[float]]]] = {}
         self._events: list[Event] = []
+        self._begun_s: float | None = None
 
     def sample(self, sample: Sample) -> None:
         """A row of a topic; what is not known is no number."""
-        signals = TOPICS[sample.topic].signals
+        signals, begun_s = TOPICS[sample.topic].signals, self._begin(sample.time_s)
         if sample.topic not in self._held:
             self._held[sample.topic] = array("d"), [array("d") for _ in signals]
         times, columns = self._held[sample.topic]
-        times.append(sample.time_s)
+        times.append(sample.time_s - begun_s)
         for signal, column in zip(signals, columns, strict=True):
             value = sample.values.get(signal.name)
             column.append(math.nan if value is None else value)
@@ -59,7 +63,15 @@ class Mf4Sink:
 
     def event(self, event: Event) -> None:
         """A text of the channel `Events`."""
-        self._events.append(event)
+        self._events.append(event._replace(time_s=event.time_s - self._begin(event.time_s)))
+
+    def _begin(self, time_s: float) -> float:
+        """The time of the first row: MDF has it in its header, and all times since then. A log that
+        counts from its own start has no date."""
+        if self._begun_s is None:
+            self._begun_s = 0.0 if time_s < LEAST_DATE_S else time_s
+            self._mdf.header.start_time = datetime.fromtimestamp(self._begun_s, UTC)
+        return self._begun_s
 
     def flush(self) -> None:
         """Hands on what is held."""

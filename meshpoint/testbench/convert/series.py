@@ -122,9 +122,9 @@ class TimeSeries:
         stamp = next((values.pop(each) for each in STAMPS if each in values), None)
         at_s = time_s if stamp is None else self._clock.at_s(time_s, stamp)
         yield from self._rows(name, at_s, stamp, values)
-        found = self._compared.take(name, stamp, values)
+        found = self._compared.take(name, at_s, stamp, values)
         if found is not None:
-            yield Sample(COMPARED, at_s, found)
+            yield found
 
     def _rows(
         self, name: str, at_s: float, stamp: int | None, values: dict[str, Any]
@@ -178,25 +178,31 @@ class _SampleClock:
 
 
 class _Compared:
-    """Keeps what was true until the estimate of the same instant comes."""
+    """Keeps what was true until the estimate of the same instant comes; of several of one instant,
+    as a controller makes that steps as soon as a read begins, the last."""
 
     def __init__(self) -> None:
         self._gear = ""
         """The gear that phases are of: the one asked for, else the one that is in."""
         self._true: dict[str, dict[str, Any]] = {}
         self._true_at: dict[str, int | None] = {}
+        self._row_at: tuple[int | None, Sample] | None = None
+        """The newest row, and its stamp."""
 
     def take(
-        self, name: str, stamp: int | None, values: dict[str, Any]
-    ) -> dict[str, float | None] | None:
-        """A message; a row of `Compared` where it is an estimate whose truth is known."""
+        self, name: str, at_s: float, stamp: int | None, values: dict[str, Any]
+    ) -> Sample | None:
+        """A message; the row before where it is an estimate of another instant whose truth is
+        known."""
         if name == "ControllerStatus":
             gear = DRIVE_GEARS.get(values["target_gear"])
             self._gear = gear.main.name.lower() if gear else ""
         elif name in ("ReferenceEncoder", "ReferencePhase"):
             self._true[name], self._true_at[name] = values, stamp
         elif name == "ControllerEstimates" and set(self._true_at.values()) == {stamp}:
-            return self._row(values)
+            before = self._row_at
+            self._row_at = stamp, Sample(COMPARED, at_s, self._row(values))
+            return None if before is None or before[0] == stamp else before[1]
         return None
 
     def _row(self, said: dict[str, Any]) -> dict[str, float | None]:

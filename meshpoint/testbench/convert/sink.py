@@ -36,23 +36,23 @@ OpenSink = AbstractContextManager[Sink]
 
 
 class InOrder:
-    """Samples by their times, each with those that belong to the time before it."""
+    """Samples and events by their times."""
 
     def __init__(self) -> None:
-        self._held: list[tuple[float, int, Sample]] = []
+        self._held: list[tuple[float, int, Sample | Event]] = []
         self._count = 0
 
-    def add(self, sample: Sample) -> None:
+    def add(self, one: Sample | Event) -> None:
         """One more."""
-        heappush(self._held, (sample.time_s, self._count, sample))
+        heappush(self._held, (one.time_s, self._count, one))
         self._count += 1
 
-    def until(self, time_s: float) -> Iterator[Sample]:
+    def until(self, time_s: float) -> Iterator[Sample | Event]:
         """Those that no later frame can come before, at this time of the bus."""
         while self._held and self._held[0][0] <= time_s - HELD_S:
             yield heappop(self._held)[2]
 
-    def rest(self) -> Iterator[Sample]:
+    def rest(self) -> Iterator[Sample | Event]:
         """All that are left."""
         while self._held:
             yield heappop(self._held)[2]

@@ -25,6 +25,18 @@ from meshpoint.testbench.fmu.driven_rig import SHAFTS, VALVES, DrivenRig, Inputs
 
 NO_REQUEST, SPEED, TORQUE = range(3)
 """Values of `engine_control`."""
+RANGES = {
+    "engine_control": (NO_REQUEST, TORQUE),
+    "engine_speed_asked_rad_s": (0.0, 800.0),
+    "engine_torque_asked_fraction": (-1.25, 1.25),
+    "bench_gear": (0, 14),
+    "bench_main_speed_rad_s": (0.0, 500.0),
+    "slope_added_percent": (-20.0, 20.0),
+}
+"""Least and greatest value of each input that is a number; none of them may be no number."""
+LEAST_STEP_S, MOST_STEP_S = 1e-6, 10.0
+REFUSALS = (OSError, ValueError, TypeError, OverflowError)
+"""What a value that cannot be used raises."""
 
 
 class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
@@ -34,7 +46,9 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**given)
-        self._rig: DrivenRig
+        self._rig: DrivenRig | None = None
+        self._end_us: int | None = None
+        self._ended = False
         self._values: dict[str, Any] = {}
         """Of every variable, by its name."""
         self._add(Float64, "time", Fmi3Causality.independent, 0.0, "since power-up, s")
@@ -101,23 +115,66 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
         self._add(Float64, "contact_slip_rad_s", of, 0.0, "gear less sleeve", **discrete)
 
     def exit_initialization_mode(self) -> None:
-        """Builds the gearbox from the parameters."""
-        value = self._values
+        """Builds the gearbox from the parameters. Where one cannot be used, that is logged, and no
+        step can be made: pythonfmu3's wrapper frees an instance twice that has raised an error."""
+        try:
+            self._rig = self._built()
+        except REFUSALS as error:
+            self._refuse(error)
+        else:
+            self._show()
+
+    def _built(self) -> DrivenRig:
+        value, profiles = self._values, [str(each) for each in Profile]
+        if value["profile"] not in profiles:
+            raise ValueError(f"profile: found {value['profile']!r}, allowed: {', '.join(profiles)}")
+        try:
+            sheet = load_sheet(value["gearbox"])
+        except (OSError, ValueError) as error:
+            raise ValueError(f"gearbox: {error}") from error
         settings = RigSettings(
             seed=value["seed"],
             profile=Profile(value["profile"]),
             start_gear=value["start_gear"],
             main_speed_rpm=value["start_main_speed_rpm"],
         )
-        self._rig = DrivenRig(load_sheet(value["gearbox"]), settings)
-        self._show()
+        return DrivenRig(sheet, settings)
+
+    def _refuse(self, error: Exception) -> Fmi3StepResult:
+        self.log(str(error), Fmi3Status.error)
+        return Fmi3StepResult(status=Fmi3Status.error)
 
     def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
-        """Goes on by a step with the inputs as they are."""
+        """Goes on by a step with the inputs as they are. Status `error` where the step or an input
+        cannot be; what was found and what is allowed is logged."""
+        try:
+            self._go_on(current_time, step_size)
+        except REFUSALS as error:
+            return self._refuse(error)
+        return Fmi3StepResult(status=Fmi3Status.ok)
+
+    def _go_on(self, current_time: float, step_size: float) -> None:
+        if self._rig is None:
+            raise ValueError("a step without a gearbox: a parameter cannot be used")
+        for name, (least, most) in RANGES.items():
+            if not least <= self._values[name] <= most:
+                raise ValueError(f"{name}: found {self._values[name]}, allowed: {least} to {most}")
+        if self._ended:
+            raise ValueError("a step after the end of the simulation")
+        if not LEAST_STEP_S <= step_size <= MOST_STEP_S:
+            allowed = f"{LEAST_STEP_S:g} to {MOST_STEP_S:g}"
+            raise ValueError(f"step size: found {step_size} s, allowed: {allowed}")
         begin_us, end_us = (round(1e6 * at_s) for at_s in (current_time, current_time + step_size))
+        if self._end_us not in (None, begin_us):
+            gone_s = (self._end_us or 0) * 1e-6
+            raise ValueError(f"time: found {current_time} s, allowed: {gone_s:g}, where it stands")
+        self._end_us = end_us
         self._rig.advance(begin_us, end_us, self._asked())
         self._show()
-        return Fmi3StepResult(status=Fmi3Status.ok)
+
+    def terminate(self) -> None:
+        """No step follows."""
+        self._ended = True
 
     def _asked(self) -> Inputs:
         value, control = self._values, self._values["engine_control"]
@@ -133,4 +190,5 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
         )
 
     def _show(self) -> None:
-        self._values |= outputs(self._rig)
+        if self._rig is not None:
+            self._values |= outputs(self._rig)
