@@ -7,11 +7,11 @@ with `--check` it compares it and ends with 1 if they differ.
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 from typing import Final
 
+from meshpoint.dbc.made import write_or_compare
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.source import DBC_CONTENT, DBC_PATH
 
@@ -20,22 +20,22 @@ J1939_DBC: Final = DBC_PATH.with_name("meshpoint_j1939.dbc")
 NO_SOURCE: Final = 0xFE
 """The null address: in a DBC of J1939, any source."""
 EXTENDED: Final = 1 << 31
+STANDARD: Final = [message for message in SCHEMA.messages if not message.is_protected]
 OF_STANDARD: Final = {
-    message.can_id | EXTENDED: message.can_id & ~0xFF | NO_SOURCE | EXTENDED
-    for message in SCHEMA.messages
-    if not message.is_protected
+    message.can_id | EXTENDED: message.can_id & ~0xFF | NO_SOURCE | EXTENDED for message in STANDARD
 }
 """Identifiers as meshpoint.dbc writes them, and as this one does."""
-TABLES: Final = {
-    signal.value_table
-    for message in SCHEMA.messages
-    if not message.is_protected
-    for signal in message.signals
-}
+TABLES: Final = {signal.value_table for message in STANDARD for signal in message.signals}
 """Value tables that the standard's signals use."""
 OF_A_MESSAGE: Final = re.compile(r'(BO_|CM_ BO_|CM_ SG_|BA_ "\w+" BO_|BA_ "\w+" SG_|VAL_) (\d+)\b')
 OUR_OWN: Final = ("E2EProfile", "E2EDataId", "CANFD_BRS", "BaudrateCANFD")
 """Attributes that no message of the standard has."""
+BEHIND: Final = {
+    'BA_DEF_ "BusType"': 'BA_DEF_ "ProtocolType" STRING ;',
+    'BA_DEF_DEF_ "BusType"': 'BA_DEF_DEF_ "ProtocolType" "J1939";',
+    'BA_ "BusType"': 'BA_ "ProtocolType" "J1939";',
+}
+"""What this file has more, behind lines that begin so."""
 ABOUT: Final = (
     "J1939 messages of meshpoint's bus, by PGN: source address 0xFE stands for any. SPN is an "
     "attribute of each signal. Written from meshpoint.dbc."
@@ -54,29 +54,23 @@ def make_dbc() -> str:
                 begin, end = match.span(2)
                 found.append(f"{line[:begin]}{OF_STANDARD[int(match[2])]}{line[end:]}")
         elif not line.startswith(" SG_"):
-            keeps = _of_all(found, line)
+            found += _of_all(line)
         elif keeps:
             found.append(line)
     return "\n".join(_without_double_blanks(found)) + "\n"
 
 
-def _of_all(found: list[str], line: str) -> bool:
-    """Adds a line that belongs to no message, as this file has it."""
+def _of_all(line: str) -> list[str]:
+    """A line that belongs to no message as this file has it, and what comes behind it."""
     is_left_out = line.startswith("VAL_TABLE_") and line.split()[1] not in TABLES
     if is_left_out or any(f'"{name}"' in line for name in OUR_OWN):
-        return True
+        return []
     if line.startswith('CM_ "'):
         line = f'CM_ "{ABOUT}";'
     line = line.replace('"DBName" "meshpoint"', '"DBName" "meshpoint_j1939"')
     line = line.replace('"BusType" "CAN FD"', '"BusType" "CAN"')
-    found.append(line)
-    if line.startswith('BA_DEF_ "BusType"'):
-        found.append('BA_DEF_ "ProtocolType" STRING ;')
-    elif line.startswith('BA_DEF_DEF_ "BusType"'):
-        found.append('BA_DEF_DEF_ "ProtocolType" "J1939";')
-    elif line.startswith('BA_ "BusType"'):
-        found.append('BA_ "ProtocolType" "J1939";')
-    return True
+    behind = [of for begin, of in BEHIND.items() if line.startswith(begin)]
+    return [line, *behind]
 
 
 def _without_double_blanks(lines: list[str]) -> list[str]:
@@ -84,15 +78,9 @@ def _without_double_blanks(lines: list[str]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Writes the file, or compares it."""
-    parser = argparse.ArgumentParser(prog="python -m meshpoint.dbc.j1939_view")
-    parser.add_argument("--check", action="store_true", help="compare only; exit 1 on a difference")
-    options = parser.parse_args(arguments)
+    """Write the file, or compare it."""
     content = make_dbc().encode("cp1252")
-    if options.check:
-        return 0 if J1939_DBC.read_bytes() == content else 1
-    J1939_DBC.write_bytes(content)
-    return 0
+    return write_or_compare("meshpoint.dbc.j1939_view", J1939_DBC, content, arguments)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ with the DBC and ends with 1 if they differ.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import textwrap
 from enum import IntEnum
@@ -15,6 +14,7 @@ from typing import Final
 
 from meshpoint.dbc.fields import FieldKind, FieldSpec
 from meshpoint.dbc.layout import CODECS, ENUMS, Codec
+from meshpoint.dbc.made import write_or_compare
 
 STUB_PATH: Final = Path(__file__).with_name("messages.pyi")
 
@@ -81,20 +81,7 @@ def _wrapped(text: str) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the stub, or compare it."""
-    parser = argparse.ArgumentParser(prog="python -m meshpoint.dbc.stubs", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="compare only; exit 1 on a difference")
-    options = parser.parse_args(arguments)
-    stub = make_stub()
-    if not options.check:
-        STUB_PATH.write_text(stub, encoding="utf-8", newline="\n")
-        return 0
-    if STUB_PATH.exists() and STUB_PATH.read_text(encoding="utf-8") == stub:
-        return 0
-    print(
-        f"{STUB_PATH.name} is not that of the DBC: run python -m meshpoint.dbc.stubs",
-        file=sys.stderr,
-    )
-    return 1
+    return write_or_compare("meshpoint.dbc.stubs", STUB_PATH, make_stub().encode(), arguments)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from decimal import Decimal
@@ -14,6 +13,7 @@ from typing import Final
 
 from meshpoint.dbc.classic.contract import CONTRACT
 from meshpoint.dbc.classic.source import CLASSIC_DBC
+from meshpoint.dbc.made import write_or_compare
 from meshpoint.dbc.source import DBC_CONTENT
 from meshpoint.dbc.specs import MessageSpec, SignalSpec
 
@@ -118,16 +118,8 @@ def _values(message: MessageSpec) -> Iterator[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the file, or compare it."""
-    parser = argparse.ArgumentParser(prog="python -m meshpoint.dbc.classic.make")
-    parser.add_argument("--check", action="store_true", help="compare only; exit 1 on a difference")
-    options = parser.parse_args(arguments)
     content = make_dbc().encode("cp1252")
-    if not options.check:
-        CLASSIC_DBC.write_bytes(content)
-        return 0
-    if CLASSIC_DBC.exists() and CLASSIC_DBC.read_bytes() == content:
-        return 0
-    return 1
+    return write_or_compare("meshpoint.dbc.classic.make", CLASSIC_DBC, content, arguments)
 
 
 if __name__ == "__main__":

@@ -30,10 +30,8 @@ EXCEPTIONS = {
     "meshpoint/testbench/report/html.py": "a file of the package",
     "controller/calibration/file.py": "a folder, to bring a rename to disk; a new file",
     "dbc/classic/codecs.py": "a file of the package",
-    "dbc/classic/make.py": "a file of the package",
-    "dbc/j1939_view.py": "a file of the package",
+    "dbc/made.py": "files of the package",
     "dbc/source.py": "a file of the package",
-    "dbc/stubs.py": "a file of this repository",
 }
 READING = {"read_text", "read_bytes", "load_file_config", "fromfile", "genfromtxt", "loadtxt"}
 MODULES = {"os", "gzip", "bz2", "lzma", "io", "codecs", "tarfile", "zipfile"}

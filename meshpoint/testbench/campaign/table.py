@@ -21,15 +21,13 @@ def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:
     ones, as the titles say it."""
     names = list(values["strategies"])
     blocks = [names[k : k + MOST_COLUMNS] for k in range(0, len(names), MOST_COLUMNS)]
-    for k, table in enumerate(
-        [make(values, each, gearbox) for make in (_strategies, _parts) for each in blocks]
-    ):
+    tables = [make(values, each, gearbox) for make in (_strategies, _parts) for each in blocks]
+    if values["ratios"]:
+        tables.append(_ratios(values["ratios"], names, gearbox))
+    for k, table in enumerate(tables):
         if k > 0:
             out.print()
         out.print(table)
-    if values["ratios"]:
-        out.print()
-        out.print(_ratios(values["ratios"], list(values["strategies"]), gearbox))
 
 
 def _strategies(values: dict[str, Any], names: list[str], gearbox: str) -> Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from heapq import heappop, heappush
 from typing import Final, NamedTuple, Protocol
 
@@ -29,10 +28,6 @@ class Sink(Protocol):
 
     def event(self, event: Event) -> None:
         """Something that happened."""
-
-
-OpenSink = AbstractContextManager[Sink]
-"""It is complete once it is left."""
 
 
 class InOrder:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import torque_parts
 from meshpoint.dbc.layout import CODECS
@@ -38,10 +39,7 @@ from meshpoint.units import TURN, US
 
 CYCLE_US: Final = 10_000
 """Commands are renewed within this time: 100 ms without them, and the valves are off."""
-VALVES: Final = (
-    "brake", "split_low", "split_high", "main_first", "main_second", "main_crawl", "main_third",
-    "range_low", "range_high",
-)  # fmt: skip
+VALVES: Final = tuple(valve.name.lower() for valve in ValveName)
 SHAFTS: Final = ("input", "layshaft", "main", "propeller")
 HEARD: Final = {
     codec.spec.can_id: codec
@@ -100,8 +98,6 @@ class DrivenRig:
         self.heard: dict[str, Any] = {}
         """The newest message of each kind, by its name."""
         self.contact = Contact()
-        self.lines: list[str] = []
-        """What the rig has to say, since this was cleared."""
 
     def advance(self, from_us: int, to_us: int, inputs: Inputs) -> None:
         """Drives it by these inputs from one time to another; both since any zero, from first to
@@ -135,9 +131,7 @@ class DrivenRig:
         )
 
     def _step(self, now_us: int) -> None:
-        frames, lines = self._core.step(now_us)
-        self.lines += lines
-        for frame in frames:
+        for frame in self._core.step(now_us).frames:
             self._hear(frame)
 
     def _hear(self, frame: Frame) -> None:

@@ -165,9 +165,11 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
             allowed = f"{LEAST_STEP_S:g} to {MOST_STEP_S:g}"
             raise ValueError(f"step size: found {step_size} s, allowed: {allowed}")
         begin_us, end_us = (round(1e6 * at_s) for at_s in (current_time, current_time + step_size))
-        if self._end_us not in (None, begin_us):
-            gone_s = (self._end_us or 0) * 1e-6
-            raise ValueError(f"time: found {current_time} s, allowed: {gone_s:g}, where it stands")
+        if self._end_us is not None and begin_us != self._end_us:
+            stands_s = self._end_us * 1e-6
+            raise ValueError(
+                f"time: found {current_time} s, allowed: {stands_s:g}, where it stands"
+            )
         self._end_us = end_us
         self._rig.advance(begin_us, end_us, self._asked())
         self._show()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -45,22 +46,23 @@ def write_json(target: str, values: dict[str, Any]) -> None:
             with path.open("w", encoding="utf-8") as file:
                 _write(file, pieces)
         else:
-            _replace(path.resolve(), pieces)
+            with beside(path.resolve()) as new, new.open("x", encoding="utf-8") as file:
+                _write(file, pieces)
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _replace(path: Path, pieces: Iterable[str]) -> None:
-    """Beside it first: who reads it, or an error amid the text, leaves the old file or the new."""
-    beside = path.with_name(f".{path.name}.new")
-    beside.unlink(missing_ok=True)
+@contextmanager
+def beside(path: Path) -> Iterator[Path]:
+    """A name beside a file, to be written first: whoever reads the file, and an error amid the
+    writing, finds the old one or the whole new one."""
+    new = path.with_name(f".{path.stem}.new{path.suffix}")
+    new.unlink(missing_ok=True)
     try:
-        with beside.open("x", encoding="utf-8") as file:
-            _write(file, pieces)
-        beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
+        yield new
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def _write(file: TextIO, pieces: Iterable[str]) -> None:
