@@ -28,10 +28,16 @@ from live_command import live
 
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import read_alone
-from meshpoint.dbc.messages import EdgesLayshaftRise, ReferencePhase, SleevesMain
+from meshpoint.dbc.link import Transmitter, read_alone
+from meshpoint.dbc.messages import (
+    ControllerEstimates,
+    EdgesLayshaftRise,
+    ReferencePhase,
+    SleevesMain,
+)
+from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.convert.series import TOPICS
+from meshpoint.testbench.convert.series import TOPICS, TimeSeries
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "viewers"
 MS = 1_000
@@ -124,6 +130,27 @@ def test_an_instant_is_compared_once(rows: Rows) -> None:
     """A controller estimates twice where it steps as soon as a read begins; the last counts."""
     times = [at for at, _ in rows["/Compared"]]
     assert len(set(times)) == len(times)
+
+
+def test_the_last_instant_is_compared_too(log: Path, rows: Rows) -> None:
+    last = frames(log, ControllerEstimates)[-1]
+    assert rows["/Compared"][-1][1]["main_speed_rad_s"] == last.main_speed_rad_s
+
+
+def test_edges_from_before_a_standstill_are_not_placed() -> None:
+    """An interval beyond 65 ms has no room in 16 bits: only the newest edge is known then."""
+    node, series = Transmitter(Node.GEARBOX_IO), TimeSeries()
+    found = []
+    for k, is_long in enumerate((False, True)):
+        lows = tuple((10_000 * k + 9_000 - 1_000 * j) & 0xFFFF for j in range(27))
+        edges = EdgesLayshaftRise(
+            read_time_us=10_000 * (k + 1), newest_index=100 + 5 * k, valid_stamps=5,
+            long_interval=is_long, timestamp_low_us=lows,
+        )  # fmt: skip
+        found.append(
+            [each.values["newest_index"] for each in series.take(0.01 * k, node.encode(edges))]
+        )
+    assert found == [[96, 97, 98, 99, 100], [105]]
 
 
 def test_an_mdf_of_a_log_with_a_date_begins_at_it(log: Path, tmp_path: Path) -> None:

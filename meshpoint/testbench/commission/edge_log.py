@@ -6,19 +6,17 @@ each wheel, and when, while something was in mesh.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from meshpoint.dbc.messages import EEC1, Message
+from meshpoint.dbc.sensor_time import chained_us
 from meshpoint.gearbox.gears import MainGear, Range, Split
 from meshpoint.kernels.records import Vector
 from meshpoint.testbench.check.shafts import EDGES, INDEX_MODULUS, Shaft
 from meshpoint.testbench.results.road_speed import span_us
-
-STAMP: Final = 1 << 16
 
 
 class State(NamedTuple):
@@ -64,15 +62,10 @@ class Track:
         if fresh == 0 or fresh >= INDEX_MODULUS // 2:
             return
         number = (self.numbers[-1] if self.numbers else 0) + fresh
-        low = frame.timestamp_low_us
-        time_us = read_us - (read_us - low[0]) % STAMP
-        times = [time_us]
-        for newer, older in itertools.pairwise(low):
-            time_us -= (newer - older) % STAMP
-            times.append(time_us)
         # What came in before a standstill cannot be chained over it.
         known = min(fresh, 1 if frame.long_interval else valid)
-        self.times.extend(reversed(times[:known]))
+        times = chained_us(read_us, frame.timestamp_low_us[:known])
+        self.times.extend(reversed(times))
         self.numbers.extend(range(number - known + 1, number + 1))
 
 

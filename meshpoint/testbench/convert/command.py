@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +22,7 @@ from meshpoint.testbench.convert.sink import Event, InOrder, Sink
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_clock import Entry, Unpack
-from meshpoint.testbench.results.output import complain, console, tell
+from meshpoint.testbench.results.output import beside, complain, console, tell
 from meshpoint.testbench.watch.story import Story
 
 FILES: Final = {".mcap": mcap_file, ".mf4": mf4_file, ".parquet": parquet_file}
@@ -78,15 +77,18 @@ def run(namespace: argparse.Namespace) -> int:
     if path.exists() and any(path.samefile(file) for file in files):
         raise CommandError(f"-o {path}: is the log itself")
     unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
-    with _beside(path) as beside:
-        with FILES[path.suffix](beside) as sink, console("-").status("converting"):
-            writing = Writing(sink, unpack)
-            defect = writing.take_all(entries)
-        if not writing.samples:
-            raise CommandError(
-                f"{files[0]}: of {writing.frames:,} frames none is a message of {namespace.wire} "
-                "(--profile): nothing was written"
-            )
+    try:
+        with beside(path) as new:
+            with FILES[path.suffix](new) as sink, console("-").status("converting"):
+                writing = Writing(sink, unpack)
+                defect = writing.take_all(entries)
+            if not writing.samples:
+                raise CommandError(
+                    f"{files[0]}: of {writing.frames:,} frames none is a message of "
+                    f"{namespace.wire} (--profile): nothing was written"
+                )
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
     if said:
         complain(f"meshpoint convert: {said}")
     if writing.went_back:
@@ -121,6 +123,8 @@ class Writing:
                 raise
             return error
         finally:
+            for sample in self._series.rest():
+                self._order.add(sample)
             self._give(self._order.rest())
         return None
 
@@ -147,19 +151,6 @@ class Writing:
             else:
                 self._sink.sample(one)
                 self.samples += 1
-
-
-@contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """A name beside the file's: whoever reads it has the old one or the whole new one."""
-    beside = path.with_name(f".{path.stem}.new{path.suffix}")
-    try:
-        yield beside
-        beside.replace(path)
-    except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _serve(namespace: argparse.Namespace) -> int:

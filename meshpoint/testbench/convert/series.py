@@ -17,7 +17,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS, Codec
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.schema import SCHEMA
-from meshpoint.dbc.sensor_time import unwrap
+from meshpoint.dbc.sensor_time import LOW, chained_us, unwrap
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import US
 
@@ -28,7 +28,6 @@ STAMPS: Final = (
 BETWEEN_US: Final = {"SleevesMain": 1_000, "SleevesAux": 1_000, "ReferenceEncoder": 2_000}
 """Messages that bring several samples of a signal, newest first, and the time between two."""
 EDGES, EDGE_INDEX = "timestamp_low_us", "newest_index"
-LOW: Final = 0xFFFF
 APART_S: Final = 0.5
 """A sample that lies so far from its frame is one of another clock: the sensors have restarted."""
 UNIT_SYMBOLS: Final = {
@@ -126,6 +125,10 @@ class TimeSeries:
         if found is not None:
             yield found
 
+    def rest(self) -> Iterator[Sample]:
+        """What is left when no frame comes any more."""
+        yield from self._compared.rest()
+
     def _rows(
         self, name: str, at_s: float, stamp: int | None, values: dict[str, Any]
     ) -> Iterator[Sample]:
@@ -143,17 +146,16 @@ class TimeSeries:
     ) -> Iterator[Sample]:
         """The edges that are new since the array before."""
         lows, newest = values.pop(EDGES), values.pop(EDGE_INDEX)
-        held = values["valid_stamps"]
+        # What came in before a standstill cannot be chained over it.
+        held = min(values["valid_stamps"], 1) if values["long_interval"] else values["valid_stamps"]
         before = self._indices.get(name)
         self._indices[name] = newest
         new = held if before is None else min(held, (newest - before) & LOW)
-        ages_us, earlier = [], read_us
-        for low in lows[:new]:
-            earlier -= (earlier - low) & LOW
-            ages_us.append(read_us - earlier)
+        times_us = chained_us(read_us, lows[:new])
         row = {key: _number(of, 0) for key, of in values.items()}
-        for k in reversed(range(len(ages_us))):
-            yield Sample(name, at_s - ages_us[k] * US, {EDGE_INDEX: (newest - k) & LOW, **row})
+        for k in reversed(range(new)):
+            age_s = (read_us - times_us[k]) * US
+            yield Sample(name, at_s - age_s, {EDGE_INDEX: (newest - k) & LOW, **row})
 
 
 def _number(value: Any, k: int) -> float | None:
@@ -204,6 +206,11 @@ class _Compared:
             self._row_at = stamp, Sample(COMPARED, at_s, self._row(values))
             return None if before is None or before[0] == stamp else before[1]
         return None
+
+    def rest(self) -> Iterator[Sample]:
+        """The newest row, which no other has followed."""
+        if self._row_at is not None:
+            yield self._row_at[1]
 
     def _row(self, said: dict[str, Any]) -> dict[str, float | None]:
         encoder, truth = self._true.get("ReferenceEncoder"), self._true.get("ReferencePhase")
