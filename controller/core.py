@@ -10,6 +10,7 @@ identifier, so the order in which different senders got onto the bus changes not
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Collection
 from dataclasses import replace
@@ -40,9 +41,19 @@ from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.controller.valve_name import driven_or_pending
+from meshpoint.controller.xcp.measured import SLEEVES, StepFacts
+from meshpoint.controller.xcp.node import XcpNode
+from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import canonical, checked_request, torque_parts, torque_share
+from meshpoint.dbc.j1939 import (
+    XCP_COMMAND_ID,
+    canonical,
+    checked_request,
+    torque_parts,
+    torque_share,
+)
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
@@ -124,6 +135,9 @@ class ControllerCore:
         self._engine_requests = 0
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
+        self._xcp: XcpNode | None = None
+        if header.xcp is not XcpAccess.OFF:
+            self._xcp = XcpNode(header.version, settings, header.xcp)
         self._due_us: int | None = None
         self._wake_us: int | None = None
         self.snapshot: StepSnapshot | None = None
@@ -237,6 +251,8 @@ class ControllerCore:
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, blocks
         )
         frames.append(self._transmitter.encode(status))
+        if self._xcp is not None:
+            frames += self._answer(self._xcp, frames, snapshot, events)
         # In order of bus priority; the status frame comes last and completes the step.
         frames.sort(key=_identifier)
         self._plan_next_step(now_us, snapshot.now_us)
@@ -268,6 +284,11 @@ class ControllerCore:
         for frame in inbox:
             can_id = frame[0]
             if can_id & 0xFF == OWN_ADDRESS and frame.is_extended:
+                continue
+            if can_id == XCP_COMMAND_ID:
+                consumed += (can_id.to_bytes(4, "little"), frame[1])
+                if self._xcp is not None:
+                    self._xcp.receive(frame)
                 continue
             heard.append(frame)
             verdict, message = receive(frame)
@@ -429,6 +450,29 @@ class ControllerCore:
         frame = checked_request(self._transmitter.encode(request), self._engine_requests)
         self._engine_requests += 1
         return frame
+
+    def _answer(
+        self, xcp: XcpNode, frames: list[Frame], snapshot: StepSnapshot, events: list[str]
+    ) -> list[Frame]:
+        """What an XCP master gets after this step. Settings that it has changed are used from the
+        next step on, unless a shift runs: then once it has ended."""
+        sequence, tracks = self._sequence, snapshot.view.tracks
+        facts = StepFacts(
+            tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
+            self._guard.blocked_row or 0,
+            lambda: self.calibration(""),
+        )
+        ended = sequence.finished is not None
+        answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)
+        events += lines
+        if sequence.shift is None and xcp.settings is not self._settings:
+            events.append("settings changed by XCP")
+            self._settings = xcp.settings
+            try:
+                sequence.change_settings(self._settings)
+            except StrategyError as error:  # a user's own, made anew from the settings
+                events.append(f"own strategy: {error}")
+        return answers
 
     def _is_tick(self, now_us: int) -> bool:
         """Whether a step is a tick's, and not one between for the clock or for a valve."""

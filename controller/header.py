@@ -17,6 +17,7 @@ from typing import Any, Final
 from meshpoint.controller.calibration.learned import Calibration, read_calibration
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
+from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.gearbox import GearboxSheet
@@ -44,6 +45,8 @@ class RunHeader:
     """What earlier runs have learned; None: a cold start."""
     armed: bool = True
     """Whether valves, clutch and engine may be commanded; False: the controller only listens."""
+    xcp: XcpAccess = XcpAccess.OFF
+    """What an XCP master may do. Its changes of the settings are frames, and not in here."""
 
     def canonical(self) -> str:
         """One line of JSON with sorted keys; what is hashed and saved."""
@@ -61,6 +64,8 @@ class RunHeader:
         if not self.armed:
             # Said only where it is so: the header of an armed run is what it always was.
             fields["armed"] = False
+        if self.xcp is not XcpAccess.OFF:
+            fields["xcp"] = self.xcp.name.lower()
         return json.dumps(fields, sort_keys=True, separators=(",", ":"))
 
     @property
@@ -85,9 +90,10 @@ def new_header(
     settings: ControllerSettings,
     calibration: Calibration | None = None,
     armed: bool = True,
+    xcp: XcpAccess = XcpAccess.OFF,
 ) -> RunHeader:
     """The header of a controller that starts here and now."""
-    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings, calibration, armed)
+    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings, calibration, armed, xcp)
 
 
 def architecture() -> str:
@@ -142,6 +148,7 @@ def _from_values(values: dict[str, Any]) -> RunHeader:
         _settings_from(values["settings"], values.get("strategy_file")),
         None if calibration is None else read_calibration(calibration, "calibration", sheet),
         values.get("armed", True),
+        XcpAccess[values.get("xcp", XcpAccess.OFF.name).upper()],
     )
 
 

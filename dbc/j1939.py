@@ -22,6 +22,10 @@ REQUEST: Final = 0xEA00
 """Parameter group of J1939-21's request for another group."""
 PDU1_TOP: Final = 240
 """PDU formats below this have a destination in the identifier's second byte."""
+XCP_COMMAND_ID: Final = 0x18EF03F9
+XCP_RESPONSE_ID: Final = 0x18EFF903
+"""Proprietary A (parameter group 0xEF00) between the controller and an off-board tool (0xF9). XCP
+packets have any length and no fixed signals, so they are not in the DBC."""
 REQUEST_ID: Final = CODECS["TC1"].spec.can_id
 _GROUP: Final = 0x03FF_0000
 _OF_REQUEST: Final = REQUEST_ID & _GROUP

@@ -56,6 +56,7 @@ COMMANDS: Final = {
     "convert": Command(LOGS, "a log as time series: MCAP, MF4, Parquet; a bus live to viewers"),
     "captures": Command(LOGS, "edges captured from real sensors: the teeth, or a log"),
     "campaign": Command(MANY, "strategies compared on the same seeded draws"),
+    "a2l": Command(LOOK, "what an XCP tool has to know of the controller"),
     "show": Command(LOOK, "a data sheet, settings, calibration, or the bus's messages"),
     "help": Command(LOOK, "a command, which bus is opened, what a shell completes"),
 }  # fmt: skip

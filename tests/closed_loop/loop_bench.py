@@ -11,6 +11,7 @@ from meshpoint.bus.core import Core, Step
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -38,6 +39,7 @@ SHEET = load_sheet("thesis")
 LAYSHAFT_RAD_S = 1400.0 * math.pi / 30.0
 PHASES_US = [726, 189, 5_513]
 """First steps of controller, rig and operator: real nodes do not tick together."""
+GUEST_PHASE_US = 2_131
 Alter = Callable[[Frame], list[Frame]]
 
 
@@ -121,6 +123,9 @@ class Loop:
     phases_us: Sequence[int] = tuple(PHASES_US)
 
     armed: bool = True
+    xcp: XcpAccess = XcpAccess.OFF
+    guests: Sequence[Core] = ()
+    """Other nodes on the bus."""
 
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
@@ -132,8 +137,9 @@ class Loop:
         self.messages: list[tuple[int, Any]] = []
         self.events: list[str] = []
         self._decoder = Receiver(*Node)
-        self.nodes: list[Core] = [self.controller, self.rig, self.operator]
-        self.time = VirtualTime(self.nodes, list(self.phases_us), self.take, self._event)
+        self.nodes: list[Core] = [self.controller, self.rig, self.operator, *self.guests]
+        phases_us = [*self.phases_us, *(GUEST_PHASE_US for _ in self.guests)]
+        self.time = VirtualTime(self.nodes, phases_us, self.take, self._event)
 
     @property
     def core(self) -> ControllerCore:
@@ -181,7 +187,9 @@ class Loop:
 
     @property
     def header(self) -> RunHeader:
-        return new_header(product_version(), self.sheet, self.settings, armed=self.armed)
+        return new_header(
+            product_version(), self.sheet, self.settings, armed=self.armed, xcp=self.xcp
+        )
 
     def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
         """A rig as at power-up."""
@@ -210,7 +218,7 @@ class Loop:
             self.messages.append((time_us, message))
 
     def _event(self, time_us: int, node: int, line: str) -> None:
-        self.events.append(f"{time_us} {('controller', 'rig', 'operator')[node]}: {line}")
+        self.events.append(f"{time_us} {('controller', 'rig', 'operator', 'guest')[node]}: {line}")
 
     def until(self, met: Callable[[], bool], limit_us: int) -> bool:
         return self.time.run(met, limit_us)

@@ -18,7 +18,7 @@ from meshpoint.bus.diagnosis.core import GROUPS
 from meshpoint.bus.records import Records
 from meshpoint.dbc.classic.codecs import CLASSIC_IDS
 from meshpoint.dbc.frame import Frame, crc_of
-from meshpoint.dbc.j1939 import canonical, group_of
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID, canonical, group_of
 from meshpoint.dbc.layout import CODECS
 from meshpoint.gearbox.reading import UnreadableError, open_regular
 
@@ -50,7 +50,7 @@ def kind_of(frame: Frame, *, diagnosed: bool = False) -> Kind:
         return Kind.FOREIGN
     if frame.can_id & 0xFF == OWN_ADDRESS:
         return Kind.UNHEARD
-    if frame.can_id in _KNOWN:
+    if frame.can_id in _KNOWN or (frame.can_id == XCP_COMMAND_ID and not frame.is_fd):
         return Kind.KNOWN
     if frame.is_fd or (diagnosed and group_of(frame.can_id) in GROUPS):
         return Kind.UNHEARD

@@ -22,6 +22,7 @@ from meshpoint.controller.settings import (
     load_settings_file,
 )
 from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
+from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
@@ -184,6 +185,30 @@ def add_arming(parser: Arguments) -> None:
         "estimates and logs, and refuses requests (default: `[outputs] armed` of --settings, else "
         "armed on the local bus of this machine alone)",
     )
+
+
+def add_xcp(parser: Arguments) -> None:
+    """--xcp."""
+    parser.add_argument(
+        "--xcp",
+        nargs="?",
+        choices=("read", "write"),
+        const="read",
+        help="answer an XCP master (CANape, INCA, pyxcp): `read`, it may measure and see settings; "
+        "`write`, it may change settings between shifts as well, within their limits "
+        "(`meshpoint a2l`, docs/xcp.md)",
+    )
+
+
+def xcp_of(namespace: argparse.Namespace) -> XcpAccess:
+    """What --xcp allows. CommandError on the classic profile."""
+    if namespace.xcp is None:
+        return XcpAccess.OFF
+    if wire_of(namespace) is WireProfile.CLASSIC:
+        raise CommandError(
+            "--xcp: allowed with --profile fd alone, where it answers masters of 8 bytes as well"
+        )
+    return XcpAccess[namespace.xcp.upper()]
 
 
 def add_calibration(parser: Arguments) -> None:

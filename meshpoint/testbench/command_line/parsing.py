@@ -68,6 +68,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint commission --drawn 20 --gearbox truck12",
     ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
+    "a2l": ("meshpoint a2l", "meshpoint a2l -o truck.a2l"),
     "fmu": ("meshpoint fmu", "meshpoint fmu -o gearbox.fmu"),
     "convert": (
         "meshpoint convert x.log -o x.mcap",

@@ -50,6 +50,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_gearbox(controller)
     arguments.add_controller(controller)
     arguments.add_arming(controller)
+    arguments.add_xcp(controller)
     arguments.add_calibration(controller)
     add_header_dir(controller)
     controller.add_argument(
@@ -150,7 +151,8 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
     armed, keys = arguments.armed_of(namespace), arguments.keys_of(namespace)
     wire = _wire_of(namespace, sheet)
-    header = new_header(product_version(), sheet, settings, calibration, armed)
+    xcp = arguments.xcp_of(namespace)
+    header = new_header(product_version(), sheet, settings, calibration, armed, xcp)
     if namespace.header_dir is not None:
         save_header(header, namespace.header_dir)
 
@@ -195,7 +197,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     from meshpoint.controller.warm_up import warm_up
     from meshpoint.testbench.open_loop.shadow import ShadowCore
 
-    for name in ("arm", "keys", "calibration", "diagnosis"):
+    for name in ("arm", "keys", "calibration", "diagnosis", "xcp"):
         if getattr(namespace, name):
             raise CommandError(f"--{name}: a shadow sends nothing and keeps nothing")
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)

@@ -66,6 +66,7 @@ def add_parser(commands: Any) -> None:
     controller = parser.add_argument_group("controller")
     arguments.add_controller(controller)
     arguments.add_arming(controller)
+    arguments.add_xcp(controller)
     arguments.add_calibration(controller)
     add_header_dir(controller)
     arguments.add_log(controller)
@@ -93,6 +94,7 @@ def run(namespace: argparse.Namespace) -> int:
     arguments.armed_of(namespace)
     arguments.keys_of(namespace)
     arguments.settings_of(namespace)
+    arguments.xcp_of(namespace)
     with open_bus_from(namespace) as bus:
         _check_free(bus)
         return asyncio.run(_run(namespace, bus))

@@ -7,8 +7,12 @@ from collections.abc import Iterator
 from typing import Final
 
 from meshpoint.dbc.frame import Frame, crc_of
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID
+from meshpoint.dbc.layout import CODECS
 
 RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
+CONSUMED_IDS: Final = frozenset(c.spec.can_id for c in CODECS.values()) | {XCP_COMMAND_ID}
+"""What counts as consumed, whether or not the controller acts on it."""
 LATE_FRAMES: Final = 12
 """How many frames around the end of a step may reach the logger in another order than the node."""
 MOST_WAITING: Final = 65_536

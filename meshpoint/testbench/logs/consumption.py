@@ -11,9 +11,8 @@ from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus
-from meshpoint.testbench.logs.consumed import NotVerifiableError, WaitingFrames
+from meshpoint.testbench.logs.consumed import CONSUMED_IDS, NotVerifiableError, WaitingFrames
 
-KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 STATUS: Final = CODECS[ControllerStatus.__name__]
 MOST_STEPS: Final = 20
 """Steps after which a place that was lost is looked for anew, in later frames."""
@@ -44,7 +43,7 @@ class Consumption:
             return
         frame = canonical(frame)
         if frame.can_id & 0xFF != OWN_ADDRESS:
-            if frame.can_id in KNOWN_IDS:
+            if frame.can_id in CONSUMED_IDS:
                 self._waiting.add(frame)
                 self._added += 1
         elif frame.can_id == STATUS.spec.can_id:

@@ -30,12 +30,13 @@ from meshpoint.controller.outage_record import OutageError, StepInput, load_outa
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import canonical, group_of
+from meshpoint.dbc.j1939 import XCP_RESPONSE_ID, canonical, group_of
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.logs.consumed import (
+    CONSUMED_IDS,
     UNKNOWN_FRAME,
     DiffersError,
     NotVerifiableError,
@@ -48,7 +49,6 @@ from meshpoint.testbench.version import product_version
 if TYPE_CHECKING:
     from meshpoint.testbench.logs.classic_replay import ClassicReplay
 
-KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 STATUS: Final = CODECS[ControllerStatus.__name__]
 OWN: Final = {
     codec.spec.can_id: codec.spec
@@ -157,7 +157,7 @@ class LogReplay:
         if self.is_classic and not self.sessions:
             return
         if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
-            if frame.is_extended and frame.can_id in KNOWN_IDS:
+            if frame.is_extended and frame.can_id in CONSUMED_IDS:
                 self._waiting.add(frame)
             return
         if frame.can_id == PROOF.can_id or group_of(frame.can_id) in SENT_GROUPS:
@@ -307,7 +307,7 @@ def _last_step(frames: list[Frame]) -> list[Frame]:
     without a status. Within a step identifiers rise, but for what another sender put between."""
     start = first = len(frames) - 1
     for i in range(len(frames) - 2, -1, -1):
-        if OWN[frames[i].can_id].data_id is None:
+        if not _is_protected(frames[i]):
             start = i
         elif frames[i].can_id < frames[first].can_id:
             start = first = i
@@ -325,25 +325,33 @@ def _status(frame: Frame) -> ControllerStatus | None:
 
 def _is_own(frame: Frame) -> bool:
     """Whether a frame under the controller's address may be its own: of a message that it sends,
-    and with undamaged protection. J1939's messages have none."""
+    and with undamaged protection. J1939's and XCP's have none."""
+    if frame.can_id == XCP_RESPONSE_ID:
+        return True
     spec = OWN.get(frame.can_id)
     if spec is None or len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
         return False
     return spec.data_id is None or check_crc(frame.data, spec.data_id)
 
 
+def _is_protected(frame: Frame) -> bool:
+    """Whether one of the controller's messages has a checksum: J1939's and XCP's have none."""
+    spec = OWN.get(frame.can_id)
+    return spec is not None and spec.data_id is not None
+
+
 def _without_unprotected_intruders(
     made: list[Frame], logged: list[Frame]
 ) -> tuple[list[Frame], Counter[int]]:
-    """A step's frames in the log without those of J1939 that stand beside the very frame that was
-    sent: nothing else shows whose they are. And how many these are, by identifier."""
-    sent = {frame.can_id: frame for frame in made}
+    """A step's frames in the log without those of J1939 and XCP that stand beside the very frame
+    that was sent: nothing else shows whose they are. And how many these are, by identifier."""
+    held = {(frame.can_id, frame.data) for frame in logged}
     own: list[Frame] = []
     others: Counter[int] = Counter()
     for frame in logged:
-        mine = sent.get(frame.can_id)
-        is_other = mine is not None and frame.data != mine.data and mine in logged
-        if is_other and OWN[frame.can_id].data_id is None:
+        mine = {(each.can_id, each.data) for each in made if each.can_id == frame.can_id}
+        is_other = (frame.can_id, frame.data) not in mine and mine <= held
+        if is_other and not _is_protected(frame) and (mine or frame.can_id == XCP_RESPONSE_ID):
             others[frame.can_id] += 1
         else:
             own.append(frame)

@@ -1,0 +1,71 @@
+"""The XCP slave in the controller's step: commands that the step has consumed, in; answers and DAQ
+packets out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.xcp.daq import Event
+from meshpoint.controller.xcp.measured import StepFacts
+from meshpoint.controller.xcp.memory import Memory
+from meshpoint.controller.xcp.parameters import CalibrationPages
+from meshpoint.controller.xcp.protocol import FD_LENGTHS
+from meshpoint.controller.xcp.slave import XcpSlave
+from meshpoint.controller.xcp_access import XcpAccess
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import XCP_RESPONSE_ID
+
+MOST_COMMANDS: Final = 64
+"""Answered in one step: a whole block and more. A master waits for each answer."""
+
+
+class XcpNode:
+    """What the controller's core has of XCP."""
+
+    def __init__(self, version: str, settings: ControllerSettings, access: XcpAccess) -> None:
+        self._pages = CalibrationPages(settings)
+        self._memory = Memory(version, self._pages, access)
+        self._slave = XcpSlave(self._memory, self._pages, settings.timing.tick_ms)
+        self._commands: list[Frame] = []
+        self._unheard = 0
+
+    @property
+    def settings(self) -> ControllerSettings:
+        """Those that the master wants, from the next shift on."""
+        return self._pages.settings
+
+    def receive(self, frame: Frame) -> None:
+        """A command of a master."""
+        if len(self._commands) < MOST_COMMANDS:
+            self._commands.append(frame)
+        else:
+            self._unheard += 1
+
+    def step(
+        self, sent: Iterable[Frame], facts: StepFacts, now_us: int, *, shift_ended: bool
+    ) -> tuple[list[Frame], list[str]]:
+        """The frames for a master after a step that sends these frames at this sensor time; and
+        lines for the log."""
+        self._memory.measured.take(sent, facts)
+        frames = []
+        commands, self._commands = self._commands, []
+        for command in commands:
+            packets = self._slave.answer(command.data, command.is_fd, now_us)
+            frames += [_frame(packet, command.is_fd) for packet in packets]
+        events = (Event.STEP, Event.SHIFT_END) if shift_ended else (Event.STEP,)
+        for event in events:
+            is_fd = self._slave.is_fd
+            frames += [_frame(packet, is_fd) for packet in self._slave.sampled(event, now_us)]
+        lines = []
+        if self._unheard:
+            lines.append(f"{self._unheard} XCP commands left: more than {MOST_COMMANDS} in a step")
+            self._unheard = 0
+        return frames, lines
+
+
+def _frame(packet: bytes, is_fd: bool) -> Frame:
+    """Filled up to a length that a CAN FD frame can have."""
+    length = next(each for each in FD_LENGTHS if each >= len(packet))
+    return Frame(XCP_RESPONSE_ID, packet.ljust(length, b"\0"), is_fd)

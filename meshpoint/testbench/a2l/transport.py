@@ -1,0 +1,65 @@
+"""IF_DATA XCP: how a tool reaches the controller, and what its slave can do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from meshpoint.controller.settings import Timing
+from meshpoint.controller.xcp.daq import Event
+from meshpoint.controller.xcp.protocol import CLASSIC_BYTES, FD_BYTES, VERSION, Command
+from meshpoint.controller.xcp.slave import EVENT_NAMES, MOST_OF_A_BLOCK
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
+from meshpoint.testbench.a2l.blocks import block, hexadecimal
+
+BIT_RATE: Final = 500_000
+DATA_BIT_RATE: Final = 2_000_000
+"""Those of the wire contract (docs/wire.md)."""
+EXTENDED: Final = 0x8000_0000
+TIMEOUT_MS: Final = 1_000
+"""For each of T1 to T7: an answer comes with the next step, some 10 ms later; a step of a live node
+on a busy machine may be late."""
+MANDATORY: Final = {
+    Command.CONNECT, Command.DISCONNECT, Command.GET_STATUS, Command.SYNCH, Command.DOWNLOAD,
+    Command.SET_CAL_PAGE, Command.GET_CAL_PAGE, Command.CLEAR_DAQ_LIST, Command.SET_DAQ_PTR,
+    Command.WRITE_DAQ, Command.SET_DAQ_LIST_MODE, Command.START_STOP_DAQ_LIST,
+    Command.START_STOP_SYNCH,
+}  # fmt: skip
+
+
+def xcp_on_can() -> Iterator[str]:
+    """The module's IF_DATA block."""
+    return block("IF_DATA", "XCP", [*_protocol(), *_daq(), *block("PAG", "0x01"), *_can()])
+
+
+def _protocol() -> Iterator[str]:
+    version = f"0x{VERSION:02X}01"
+    times = " ".join(str(TIMEOUT_MS) for _ in range(7))
+    lines = [f"{version} {times} {CLASSIC_BYTES} {CLASSIC_BYTES}"]
+    lines += ["BYTE_ORDER_MSB_LAST ADDRESS_GRANULARITY_BYTE"]
+    lines += [f"OPTIONAL_CMD {each.name}" for each in Command if each not in MANDATORY]
+    lines += [f"COMMUNICATION_MODE_SUPPORTED BLOCK SLAVE MASTER {MOST_OF_A_BLOCK} 0"]
+    return block("PROTOCOL_LAYER", "", lines)
+
+
+def _daq() -> Iterator[str]:
+    lines = [f"DYNAMIC 0 {len(Event)} 0 OPTIMISATION_TYPE_DEFAULT ADDRESS_EXTENSION_FREE"]
+    lines += ["IDENTIFICATION_FIELD_TYPE_ABSOLUTE GRANULARITY_ODT_ENTRY_SIZE_DAQ_BYTE"]
+    lines += [f"{CLASSIC_BYTES - 1} NO_OVERLOAD_INDICATION PRESCALER_SUPPORTED"]
+    lines += block("TIMESTAMP_SUPPORTED", "1 SIZE_DWORD UNIT_1US TIMESTAMP_FIXED")
+    for event in Event:
+        name = EVENT_NAMES[event].decode()
+        cycle_ms = Timing().tick_ms if event is Event.STEP else 0
+        lines += block("EVENT", f'"{name}" "{name}" {event} DAQ 0xFF {cycle_ms} 6 0')
+    return block("DAQ", "", lines)
+
+
+def _can() -> Iterator[str]:
+    lines = [
+        f"0x{VERSION:02X}01",
+        f"CAN_ID_MASTER {hexadecimal(XCP_COMMAND_ID | EXTENDED)}",
+        f"CAN_ID_SLAVE {hexadecimal(XCP_RESPONSE_ID | EXTENDED)}",
+        f"BAUDRATE {BIT_RATE}",
+    ]
+    fd = [f"MAX_DLC {FD_BYTES}", f"CAN_FD_DATA_TRANSFER_BAUDRATE {DATA_BIT_RATE}"]
+    return block("XCP_ON_CAN", "", [*lines, *block("CAN_FD", "", fd)])

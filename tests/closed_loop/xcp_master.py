@@ -1,0 +1,131 @@
+"""An XCP master that we did not write, pyxcp, on the virtual bus: bus time passes while it waits
+for an answer, and where a test lets it."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import can
+from loop_bench import Loop
+from pyxcp.config import create_application_from_config
+from pyxcp.master import Master
+
+from meshpoint.bus.core import Core, Step
+from meshpoint.bus.frames import frame_of, message_of
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.xcp_access import XcpAccess
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+from meshpoint.testbench.version import product_version
+
+EXTENDED = 0x8000_0000
+TICK_US, QUIET_TICKS = 10_000, 3
+
+
+class Alone:
+    """A controller that hears a master and nothing else."""
+
+    def __init__(self, cable: Cable) -> None:
+        self.header = new_header(
+            product_version(), load_sheet("thesis"), ControllerSettings(), xcp=XcpAccess.WRITE
+        )
+        self.core = ControllerCore(self.header)
+        self.frames: list[tuple[int, Frame]] = []
+        nodes: list[Core] = [self.core, cable]
+        self.time = VirtualTime(nodes, [726, 2_131], lambda *frame: self.frames.append(frame))
+
+    def until(self, met: Callable[[], bool], limit_us: int) -> bool:
+        return self.time.run(met, limit_us)
+
+
+class Cable(can.BusABC):
+    """The master's bus and a node of the virtual one."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="virtual")
+        self.loop: Loop | Alone
+        self.next_step_us = 0
+        self._to_send: queue.SimpleQueue[Frame] = queue.SimpleQueue()
+        self._heard: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
+        self._turn = threading.RLock()
+        self._waits = threading.Event()
+        """The master has sent something; cleared when nothing has come for some ticks."""
+        self._quiet = 0
+
+    # the master's side
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._to_send.put(frame_of(msg))
+        self._quiet = 0
+        self._waits.set()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self._heard.empty() and self._waits.wait(timeout):
+            self.pass_time(TICK_US)
+            self._quiet += 1
+            if self._quiet > QUIET_TICKS:
+                self._waits.clear()
+        try:
+            heard = self._heard.get_nowait()
+        except queue.Empty:
+            return None, False
+        self._quiet = 0
+        return heard, False
+
+    def pass_time(self, time_us: int) -> None:
+        """Bus time."""
+        with self._turn:
+            self.loop.until(lambda: False, self.loop.time.now_us + time_us)
+
+    def until(self, met: Callable[[], bool], limit_us: int = 5_000_000) -> None:
+        """Bus time until something is so."""
+        with self._turn:
+            assert self.loop.until(met, self.loop.time.now_us + limit_us)
+
+    # the node's side
+
+    def receive(self, frame: Frame) -> None:
+        if frame.can_id == XCP_RESPONSE_ID:
+            self._heard.put(message_of(frame))
+
+    def step(self, now_us: int) -> Step:
+        self.next_step_us = now_us + 1_000
+        frames = []
+        while not self._to_send.empty():
+            frames.append(self._to_send.get_nowait())
+        return Step(frames, [])
+
+    def shutdown(self, now_us: int) -> Step:
+        return Step([], [])  # pragma: no cover
+
+
+@contextmanager
+def master(
+    *, fd: bool = True, policy: Any = None, alone: bool = False, **loop: Any
+) -> Iterator[tuple[Master, Any, Cable]]:
+    """pyxcp beside the controller of a loop with these properties; `alone`: without a gearbox, for
+    many commands in little time. policy: what takes its DAQ packets."""
+    cable = Cable()
+    if alone:
+        cable.loop = Alone(cable)
+    else:
+        cable.loop = Loop(guests=[cable], **({"xcp": XcpAccess.WRITE} | loop))
+    of_can = {
+        "can_id_master": XCP_COMMAND_ID | EXTENDED,
+        "can_id_slave": XCP_RESPONSE_ID | EXTENDED,
+        "fd": fd,
+    }
+    settings = {"Transport": {"CAN": of_can}, "General": {"disable_error_handling": True}}
+    config = create_application_from_config(settings, logging.ERROR)
+    config.transport.timeout = 30.0
+    with Master("can", config, policy, transport_layer_interface=cable) as one:
+        yield one, cable.loop, cable
