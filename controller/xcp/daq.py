@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Final
 
-from meshpoint.controller.xcp.protocol import RefusedError, XcpError
+from meshpoint.controller.xcp.protocol import PACKETS_A_STEP, RefusedError, XcpError
 
 MOST_LISTS: Final = 8
-MOST_TABLES: Final = 48
-"""Over all lists: what a bus carries beside our own frames in a step."""
+SPARE_PACKETS: Final = 2
+"""Left for answers in a step in which every list is sent."""
 MOST_ENTRIES: Final = 63
 STAMP_BYTES: Final = 4
 DYNAMIC, PRESCALER, STAMPED = 0x01, 0x02, 0x10
@@ -84,6 +84,7 @@ class DaqLists:
 
     def __init__(self, packet_bytes: int) -> None:
         self._packet_bytes = packet_bytes
+        self._most_tables = PACKETS_A_STEP[packet_bytes] - SPARE_PACKETS
         self.lists: list[DaqList] = []
         self._place: tuple[int, int, int] | None = None
 
@@ -103,7 +104,7 @@ class DaqLists:
         self.lists, self._place = [], None
 
     def allocate(self, count: int) -> None:
-        """So many lists, after all were freed."""
+        """Empty lists, after all were freed."""
         if self.lists:
             raise RefusedError(XcpError.SEQUENCE)
         if count > MOST_LISTS:
@@ -111,16 +112,16 @@ class DaqLists:
         self.lists = [DaqList() for _ in range(count)]
 
     def allocate_tables(self, number: int, count: int) -> None:
-        """So many tables for a list that has none."""
+        """Tables for a list that has none."""
         one = self.of(number)
         if one.tables:
             raise RefusedError(XcpError.SEQUENCE)
-        if count + sum(len(each.tables) for each in self.lists) > MOST_TABLES:
+        if count + sum(len(each.tables) for each in self.lists) > self._most_tables:
             raise RefusedError(XcpError.MEMORY_OVERFLOW)
         one.tables = [[] for _ in range(count)]
 
     def allocate_entries(self, number: int, table: int, count: int) -> None:
-        """So many entries for a table that has none."""
+        """Entries for a table that has none."""
         one = self.of(number)
         if table >= len(one.tables):
             raise RefusedError(XcpError.OUT_OF_RANGE)

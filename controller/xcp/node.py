@@ -3,6 +3,7 @@ packets out."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
@@ -18,7 +19,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_RESPONSE_ID
 
 MOST_COMMANDS: Final = 64
-"""Answered in one step: a whole block and more. A master waits for each answer."""
+"""Kept until they are answered: a whole block and more. A master waits for each answer."""
 
 
 class XcpNode:
@@ -28,7 +29,9 @@ class XcpNode:
         self._pages = CalibrationPages(settings)
         self._memory = Memory(version, self._pages, access)
         self._slave = XcpSlave(self._memory, self._pages, settings.timing.tick_ms)
-        self._commands: list[Frame] = []
+        self._commands: deque[Frame] = deque()
+        self._packets: deque[Frame] = deque()
+        """What a step could not send any more."""
         self._unheard = 0
 
     @property
@@ -49,18 +52,17 @@ class XcpNode:
         """The frames for a master after a step that sends these frames at this sensor time; and
         lines for the log."""
         self._memory.measured.take(sent, facts)
-        frames = []
-        commands, self._commands = self._commands, []
-        for command in commands:
-            packets = self._slave.answer(command.data, command.is_fd, now_us)
-            frames += [_frame(packet, command.is_fd) for packet in packets]
-        events = (Event.STEP, Event.SHIFT_END) if shift_ended else (Event.STEP,)
-        for event in events:
-            is_fd = self._slave.is_fd
-            frames += [_frame(packet, is_fd) for packet in self._slave.sampled(event, now_us)]
+        slave, waiting = self._slave, self._packets
+        while self._commands and len(waiting) < slave.packets_a_step:
+            command = self._commands.popleft()
+            packets = slave.answer(command.data, command.is_fd, now_us)
+            waiting += [_frame(packet, command.is_fd) for packet in packets]
+        for event in (Event.STEP, Event.SHIFT_END) if shift_ended else (Event.STEP,):
+            waiting += [_frame(each, slave.is_fd) for each in slave.sampled(event, now_us)]
+        frames = [waiting.popleft() for _ in range(min(len(waiting), slave.packets_a_step))]
         lines = []
         if self._unheard:
-            lines.append(f"{self._unheard} XCP commands left: more than {MOST_COMMANDS} in a step")
+            lines.append(f"{self._unheard} XCP commands left: more than {MOST_COMMANDS} at once")
             self._unheard = 0
         return frames, lines
 

@@ -89,6 +89,12 @@ PARAMETERS: Final = _parameters()
 PAGE_BYTES: Final = ROW_BYTES * len(PARAMETERS)
 
 
+def changes_in_words(before: ControllerSettings, after: ControllerSettings) -> str:
+    """Which of them have other values, and those."""
+    pairs = [(each.name, each.of(before), each.of(after)) for each in PARAMETERS]
+    return ", ".join(f"{name} {old:g} -> {new:g}" for name, old, new in pairs if old != new)
+
+
 class Page(IntEnum):
     """Pages of the one segment."""
 

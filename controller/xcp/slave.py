@@ -26,6 +26,7 @@ from meshpoint.controller.xcp.protocol import (
     CLASSIC_BYTES,
     FD_BYTES,
     NEGATIVE,
+    PACKETS_A_STEP,
     POSITIVE,
     VERSION,
     Command,
@@ -123,6 +124,11 @@ class XcpSlave:
     def is_fd(self) -> bool:
         """Whether packets go in CAN FD frames."""
         return self.packet_bytes > CLASSIC_BYTES
+
+    @property
+    def packets_a_step(self) -> int:
+        """Sent in a step, at most."""
+        return PACKETS_A_STEP[self.packet_bytes]
 
     def answer(self, packet: bytes, is_fd: bool, now_us: int) -> list[bytes]:
         """The packets that a command is answered with at sensor time `now_us`; none before

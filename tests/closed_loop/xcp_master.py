@@ -12,7 +12,7 @@ from typing import Any
 
 import can
 from loop_bench import Loop
-from pyxcp.config import create_application_from_config
+from pyxcp.config import create_application_from_config, set_application
 from pyxcp.master import Master
 
 from meshpoint.bus.core import Core, Step
@@ -27,6 +27,8 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.version import product_version
 
+# Its recorder asks for one, and would read pytest's command line.
+set_application(create_application_from_config({}, logging.ERROR))
 EXTENDED = 0x8000_0000
 TICK_US, QUIET_TICKS = 10_000, 3
 
@@ -56,7 +58,7 @@ class Cable(can.BusABC):
         self.next_step_us = 0
         self._to_send: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._heard: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
-        self._turn = threading.RLock()
+        self._turn, self._sending = threading.RLock(), threading.Lock()
         self._waits = threading.Event()
         """The master has sent something; cleared when nothing has come for some ticks."""
         self._quiet = 0
@@ -64,16 +66,18 @@ class Cable(can.BusABC):
     # the master's side
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self._to_send.put(frame_of(msg))
-        self._quiet = 0
-        self._waits.set()
+        with self._sending:
+            self._to_send.put(frame_of(msg))
+            self._quiet = 0
+            self._waits.set()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if self._heard.empty() and self._waits.wait(timeout):
             self.pass_time(TICK_US)
-            self._quiet += 1
-            if self._quiet > QUIET_TICKS:
-                self._waits.clear()
+            with self._sending:
+                self._quiet += 1
+                if self._quiet > QUIET_TICKS:
+                    self._waits.clear()
         try:
             heard = self._heard.get_nowait()
         except queue.Empty:

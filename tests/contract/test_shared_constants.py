@@ -101,6 +101,10 @@ REASONS: Final = {
 """Names of the controller whose number the rig has too, and why that is no fitting."""
 
 
+OF_A_STANDARD: Final = {path.name for path in (ROOT / "controller" / "xcp").glob("*.py")}
+"""XCP's codes and sizes of packets: no quantity of a gearbox."""
+
+
 def shared() -> dict[str, tuple[str, float]]:
     """Names of the controller that share a number with the rig, and the rig's name for it."""
     return {
@@ -108,6 +112,7 @@ def shared() -> dict[str, tuple[str, float]]:
         for folder in ("controller", "meshpoint/testbench/identify")
         for key, pairs in alike(ROOT / folder, ROOT / "rig_sim").items()
         for mine, theirs in pairs
+        if mine.split(":")[0] not in OF_A_STANDARD
     }
 
 

@@ -20,8 +20,8 @@ def add_parser(commands: Any) -> None:
         "a2l",
         description="Writes what a calibration tool (CANape, INCA, pyxcp) has to know of "
         "`meshpoint controller --xcp`: every setting that may change between shifts, with its "
-        "limits, and every value that can be measured (docs/xcp.md). It fits this version alone; "
-        "the controller tells a tool its name.",
+        "limits, and every value that can be measured (docs/calibration.md). It fits this version "
+        "alone: the controller answers with the name that stands in it.",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("meshpoint.a2l"), metavar="FILE",

@@ -196,7 +196,7 @@ def add_xcp(parser: Arguments) -> None:
         const="read",
         help="answer an XCP master (CANape, INCA, pyxcp): `read`, it may measure and see settings; "
         "`write`, it may change settings between shifts as well, within their limits "
-        "(`meshpoint a2l`, docs/xcp.md)",
+        "(`meshpoint a2l`, docs/calibration.md)",
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 from meshpoint.bus.authentication.frames import CHALLENGE, PROOF
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.logs.consumption import Consumption
 
@@ -22,8 +23,8 @@ BACK_S: Final = 0.01
 MOST_NAMED: Final = 8
 
 
-PROOFS: Final = (CHALLENGE.can_id, PROOF.can_id)
-"""Ours, but of a DBC of their own."""
+OURS: Final = (CHALLENGE.can_id, PROOF.can_id, XCP_COMMAND_ID, XCP_RESPONSE_ID)
+"""Ours, but not of the DBC: proofs have one of their own, XCP's packets have no fixed signals."""
 
 
 class Account:
@@ -64,7 +65,7 @@ class Account:
         spec = SPECS.get(frame.can_id) if frame.is_extended else None
         if spec is None:
             digits = 8 if frame.is_extended else 3
-            if frame.can_id not in PROOFS:
+            if frame.can_id not in OURS:
                 self.foreign[f"{frame.can_id:0{digits}X}"] += 1
         elif len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
             self.other_form[spec.name] += 1

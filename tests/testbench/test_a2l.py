@@ -1,0 +1,97 @@
+"""`meshpoint a2l`: a file that other tools read, of exactly this version."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.xcp.memory import PAGE_ADDRESS, identity
+from meshpoint.controller.xcp.parameters import PARAMETERS, ROW_BYTES
+from meshpoint.dbc.layout import CODECS
+from meshpoint.testbench.a2l.module import a2l
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.version import product_version
+
+CHECKER = Path(sys.executable).with_name("a2ltool")
+TEXT = a2l(product_version())
+
+
+def block_of(kind: str, name: str) -> str:
+    found = re.search(rf"/begin {kind} {re.escape(name)} .*?/end {kind}", TEXT, re.DOTALL)
+    assert found is not None, name
+    return found[0]
+
+
+def test_another_tool_finds_no_fault_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "controller.a2l"
+    assert main(["a2l", "-o", str(path)]) == 0
+    done = subprocess.run(
+        [CHECKER, "--check", "--strict", path], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, "No problems found" in done.stdout) == (0, True), done.stdout
+    assert path.read_text("utf-8") == TEXT
+
+
+def test_the_tool_does_find_faults(tmp_path: Path) -> None:
+    path = tmp_path / "controller.a2l"
+    path.write_text(TEXT.replace("RECORD_LAYOUT whole", "RECORD_LAYOUT other"), "utf-8")
+    done = subprocess.run(
+        [CHECKER, "--check", "--strict", path], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+
+
+def test_a_setting_has_its_limits_its_unit_and_its_address() -> None:
+    aim = block_of("CHARACTERISTIC", "window.aim_slip_rpm")
+    (row,) = (i for i, each in enumerate(PARAMETERS) if each.name == "window.aim_slip_rpm")
+    address = f"0x{PAGE_ADDRESS + ROW_BYTES * row:08X}"
+    conversion = re.search(rf"VALUE {address} float 0 (\w+) 1.0 200.0", aim)
+    assert conversion is not None, aim
+    assert '"rpm"' in block_of("COMPU_METHOD", conversion[1])
+    assert "`" not in aim.split('"')[0]
+
+
+def test_every_setting_between_shifts_is_in_it_and_no_limit_of_the_guard() -> None:
+    named = re.findall(r"/begin CHARACTERISTIC (\S+)", TEXT)
+    assert sorted(named) == sorted(each.name for each in PARAMETERS)
+    assert "limits.blocks" in named
+    assert not [name for name in named if name.startswith("guard.") or "valve_on" in name]
+    for each in PARAMETERS:
+        low, high = each.limits
+        assert low <= each.of(ControllerSettings()) <= high
+
+
+def test_a_flag_is_one_bit_of_its_message() -> None:
+    spec = CODECS["ControllerEstimates"].spec
+    (flag,) = (signal for signal in spec.signals if signal.name == "MainValid")
+    mask = 1 << flag.start_bit % 8
+    assert f"BIT_MASK 0x{mask:X}" in block_of("MEASUREMENT", "ControllerEstimates.MainValid")
+
+
+def test_a_state_has_words() -> None:
+    state = block_of("MEASUREMENT", "ControllerStatus.State")
+    table = re.search(r"UBYTE (\w+) ", state)
+    assert table is not None
+    assert '"HALTED"' in block_of("COMPU_VTAB", f"{table[1]}_words").upper()
+
+
+def test_another_version_has_another_name() -> None:
+    assert f'EPK "{identity(product_version())}"' in TEXT
+    assert identity("0.0.1") != identity(product_version())
+
+
+def test_a_wrong_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["a2l", "-o", "controller.txt"]) == 2
+    assert "allowed is .a2l" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["a2l", "-o", str(tmp_path / "no" / "x.a2l")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
