@@ -13,6 +13,7 @@ rooms, in the order in which a tooth passes them (docs/frame_to_valve.md):
     guard        passes a finished valve command or blocks it
     report       what is sent and logged about it
     calibration  what has been learned, kept from run to run
+    xcp          a calibration tool's measured values and settings, where the run has them (--xcp)
 
 Others use the modules on this floor and `planning.strategies`; who else looks into a room is named
 in an import contract (pyproject.toml). `settings` has every setting. Sensor faults and valve
