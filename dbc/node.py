@@ -6,10 +6,12 @@ from enum import StrEnum
 
 
 class Node(StrEnum):
-    """The nodes of the DBC, by their names there."""
+    """The nodes of `meshpoint.dbc` and `truck.dbc`, by their names there."""
 
     GEARBOX_IO = "GearboxIo"
     ENGINE = "Engine"
     REFERENCE = "Reference"
     TRANSMISSION_CONTROL = "TransmissionControl"
     BENCH = "Bench"
+    BRAKES = "Brakes"
+    TACHOGRAPH = "Tachograph"

@@ -25,6 +25,7 @@ UNITS: Final[dict[str, Unit]] = {
     "mm": Unit("_m", 1e-3, 0.0, False),
     "degC": Unit("_k", 1.0, 273.15, False),
     "km/h": Unit("_m_s", 1.0 / 3.6, 0.0, False),
+    "m/s2": Unit("_m_s2", 1.0, 0.0, False),
     "J": Unit("_j", 1.0, 0.0, False),
     "%": Unit("_fraction", 1e-2, 0.0, False),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
@@ -30,6 +30,9 @@ from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US, Order
 from meshpoint.rig_sim.suspicions import Suspicions
 
+if TYPE_CHECKING:
+    from meshpoint.rig_sim.truck_nodes.nodes import TruckNodes
+
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
 FROM_IO: Final = frozenset(
     codec.message_type for codec in CODECS.values() if codec.spec.sender == Node.GEARBOX_IO
@@ -41,8 +44,16 @@ CLUTCH_ACTION: Final = 3
 """The byte of the clutch command that says what it is to do."""
 
 
+def truck_nodes(seed: int) -> TruckNodes:
+    """The truck's other nodes; with their messages they are loaded by rigs that play them alone."""
+    from meshpoint.rig_sim.truck_nodes.nodes import TruckNodes
+
+    return TruckNodes(seed)
+
+
 class RigCore:
-    """Plays GearboxIo, Engine and Reference. Power-up, time zero, is the first step.
+    """Plays GearboxIo, Engine and Reference, and the truck's other nodes where it is asked to.
+    Power-up, time zero, is the first step.
 
     A frame takes effect at the step that consumes it, after everything that was due by then. What
     the receiver does not pass is counted there and changes nothing.
@@ -64,6 +75,7 @@ class RigCore:
         self._suspicions = Suspicions()
         self._dropped = 0
         self.truth = self._world.truth
+        self._truck_nodes = truck_nodes(settings.seed) if settings.truck_nodes else None
 
     @property
     def as_built(self) -> dict[str, Any] | None:
@@ -181,6 +193,8 @@ class RigCore:
             self._last_valves = None
         frames.extend(map(self._transmitter.encode, messages))
         frames += unread or []
+        if self._truck_nodes is not None:
+            frames += self._truck_nodes.frames(self.truth, read_us)
 
     def _send_engaged(self, frames: list[Frame]) -> None:
         for engaged in self._world.take_engaged():

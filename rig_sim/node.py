@@ -21,6 +21,8 @@ from meshpoint.rig_sim.settings import RigSettings
 
 ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
 """Gearbox, reference instrumentation and engine: the rig plays all three."""
+TRUCK_ADDRESSES: Final = frozenset({0x0B, 0xEE})
+"""Brake controller and tachograph, where it plays the truck's other nodes too."""
 
 
 async def run_rig(
@@ -47,5 +49,5 @@ async def run_rig(
         on_event=on_event,
         stop=stop,
         name="rig",
-        own_addresses=ADDRESSES,
+        own_addresses=ADDRESSES | TRUCK_ADDRESSES if settings.truck_nodes else ADDRESSES,
     )

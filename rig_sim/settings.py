@@ -67,6 +67,7 @@ class RigSettings:
     as_built        values of the truck that are fixed, not drawn, by name (`as_built`)
     return_ramp_s   how long the bench script takes to change the speeds (`bench_script`)
     faults          what goes wrong with the truck, and when
+    truck_nodes     whether it plays the truck's other nodes as well (docs/wire.md)
     """
 
     preset: Preset = DEFAULT_PRESET
@@ -78,6 +79,7 @@ class RigSettings:
     faults: tuple[ScheduledFault, ...] = ()
     return_ramp_s: float = RETURN_RAMP_S
     profile: Profile = DEFAULT_PROFILE
+    truck_nodes: bool = False
 
     def __post_init__(self) -> None:
         if self.seed < 0:

@@ -48,6 +48,17 @@ class PhaseRead(NamedTuple):
     phases_rad: tuple[float, ...]
 
 
+class Vehicle(NamedTuple):
+    """The vehicle behind the propeller shaft."""
+
+    road_m_s: float
+    """Its speed, and that of the treads of wheels that only roll."""
+    driven_m_s: float
+    """That of the driven wheels' treads: another one where tyres twist and slip."""
+    wheel_m: float
+    """How far it goes with a radian of the propeller shaft."""
+
+
 class Truth(Protocol):
     """The true state of the rig, for tests in the same process. Reading it has no side effects."""
 
@@ -70,6 +81,10 @@ class Truth(Protocol):
     @property
     def road_speed_m_s(self) -> float:
         """Speed of the vehicle; 0 where there is none."""
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The vehicle; None where there is none."""
 
     def phase_rad(self, gear: MainGear) -> float:
         """Phase of a gear against its sleeve."""

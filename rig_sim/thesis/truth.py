@@ -57,6 +57,10 @@ class ThesisTruth(CommonTruth):
         """The thesis has no vehicle: its main shaft keeps its speed (4.16)."""
         return 0.0
 
+    @property
+    def vehicle(self) -> None:
+        """There is none."""
+
     def delay_s(self, gear: MainGear) -> tuple[float, float]:  # noqa: ARG002
         """From a sleeve valve's activation now to contact: mean and standard deviation."""
         sleeve = self._world.sheet.sleeve

@@ -9,6 +9,7 @@ from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.truth import CommonTruth
+from meshpoint.rig_sim.shared.world import Vehicle
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.energy import Energy
 from meshpoint.rig_sim.truck.engagement import AxisTruth, TruckEngagement
@@ -57,6 +58,16 @@ class TruckTruth(CommonTruth):
     def road_speed_m_s(self) -> float:
         """Speed of the vehicle (`vehicle.py`)."""
         return self._world.plant.road_speed_m_s
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle. Driven wheels that are no body of their own turn with the shaft."""
+        plant = self._world.plant
+        driven_rad_s = plant.y.speed_rad_s[at.PROPELLER]
+        if plant.p.twisting.stiff_nm_rad > 0.0:
+            driven_rad_s = plant.y.wheels_rad_s
+        wheel_m = plant.p.road.wheel_m
+        return Vehicle(plant.road_speed_m_s, driven_rad_s * wheel_m, wheel_m)
 
     def delay_s(self, gear: MainGear) -> tuple[float, float]:
         """From a sleeve valve's activation now to contact: mean and standard deviation."""

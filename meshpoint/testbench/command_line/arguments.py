@@ -252,6 +252,17 @@ def add_rig(parser: Arguments) -> None:
     )
 
 
+def add_truck(parser: Arguments) -> None:
+    """--truck."""
+    parser.add_argument(
+        "--truck",
+        dest="truck_nodes",
+        action="store_true",
+        help="the rig plays the truck's other nodes too: EBC1, EBC2, HRW and VDC2 of a brake "
+        "controller, TCO1 of a tachograph, CCVS1 of the engine (docs/wire.md)",
+    )
+
+
 def add_preset(parser: Arguments) -> None:
     """--preset."""
     parser.add_argument(

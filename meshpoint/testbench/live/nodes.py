@@ -74,6 +74,7 @@ def add_parser(commands: Any) -> None:
         "valves off: exit code 0, or 1 where its log or its words could not be written.",
     )
     arguments.add_rig(rig)
+    arguments.add_truck(rig)
     arguments.add_gearbox(rig, has_preset=True)
     speed = add_rig_start(rig)
     speed.add_argument(
@@ -245,6 +246,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         profile=built.profile,
         as_built=STAND | built.fixed if namespace.stand else built.fixed,
         faults=arguments.faults_of(namespace),
+        truck_nodes=namespace.truck_nodes,
     )
     sheet, keys = arguments.sheet_of(namespace), arguments.keys_of(namespace)
     if namespace.describe:

@@ -62,6 +62,7 @@ def add_parser(commands: Any) -> None:
     )
     rig = parser.add_argument_group("rig")
     arguments.add_rig(rig)
+    arguments.add_truck(rig)
     add_rig_start(rig)
     controller = parser.add_argument_group("controller")
     arguments.add_controller(controller)
@@ -166,6 +167,8 @@ def _given(namespace: argparse.Namespace, actions: Sequence[argparse.Action]) ->
             continue
         if isinstance(action, argparse.BooleanOptionalAction):
             words.append(action.option_strings[0 if value else 1])
+        elif action.nargs == 0:
+            words.append(action.option_strings[-1])
         else:
             words += [action.option_strings[-1], str(value)]
     return words

@@ -52,6 +52,8 @@ class Setup:
     bus_queue: QueueOrder = QueueOrder.FIFO
     """In which order a node's waiting frames leave, where the bus has a load."""
     wire: WireProfile = WireProfile.FD
+    truck_nodes: bool = False
+    """The rig plays the truck's other nodes too."""
 
     def rig(self, first: PlannedShift, return_ramp_s: float = RETURN_RAMP_S) -> RigSettings:
         """The rig's settings: it stands in the gear, and turns at the speed, that a shift begins
@@ -65,6 +67,7 @@ class Setup:
             as_built=self.as_built,
             faults=self.faults,
             return_ramp_s=return_ramp_s,
+            truck_nodes=self.truck_nodes,
         )
 
     @property

@@ -68,6 +68,7 @@ def add_parser(commands: Any) -> None:
         "it goes. The same seed gives the same bytes.",
     )
     arguments.add_rig(parser)
+    arguments.add_truck(parser)
     arguments.add_gearbox(parser, has_preset=True)
     arguments.add_controller(parser)
     arguments.add_calibration(parser)
@@ -246,6 +247,7 @@ def _setup(
         profile=built.profile,
         as_built=built.fixed,
         faults=arguments.faults_of(namespace),
+        truck_nodes=namespace.truck_nodes,
         calibration=calibration,
         keys=arguments.keys_of(namespace),
         bus_load=namespace.bus_load,
