@@ -7,6 +7,7 @@ controller's model, so that a mistake in one shows. `core.RigCore` is the node;
     truck    the preset `truck`, with its faults and sensors
     thesis   the preset `thesis`
     parts    one physical law in each file
+    truck_nodes  the truck's other nodes, as `--truck` asks for them
     shared   what both presets use: valve drivers, sleeves, sensor clock, the bench's script
 """
 

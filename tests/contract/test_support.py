@@ -9,6 +9,7 @@ import cantools
 
 from meshpoint.dbc.j1939 import group_of
 from meshpoint.dbc.source import DBC_PATH
+from meshpoint.dbc.truck import TRUCK_DBC
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "support.md").read_text("utf-8")
@@ -17,7 +18,8 @@ PAGE = (ROOT / "docs" / "support.md").read_text("utf-8")
 def test_the_messages_of_the_standard_are_those_of_the_dbc() -> None:
     expected = [
         (each.name, str(group_of(each.frame_id)), ", ".join(str(s.spn) for s in each.signals))
-        for each in cantools.database.load_file(DBC_PATH, sort_signals=None).messages
+        for path in (DBC_PATH, TRUCK_DBC)
+        for each in cantools.database.load_file(path, sort_signals=None).messages
         if all(signal.spn for signal in each.signals)
     ]
     rows = re.findall(r"^\| (\w+) \| (\d+) \| ([\d, ]+) \|", PAGE, re.MULTILINE)

@@ -21,13 +21,18 @@ from meshpoint.dbc.j1939_view import J1939_DBC, main
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.source import DBC_PATH
 from meshpoint.dbc.specs import MessageSpec
+from meshpoint.dbc.truck import TRUCK_DBC, TRUCK_SCHEMA
 
 ANY_SOURCE = 0x03FFFF00
 """Of an identifier, parameter group and destination."""
 STANDARD = [message for message in SCHEMA.messages if not message.is_protected]
+STANDARD += TRUCK_SCHEMA.messages
 PARSED = cantools.database.load_file(J1939_DBC, frame_id_mask=ANY_SOURCE)
 MATRIX = canmatrix.formats.loadp_flat(str(J1939_DBC))
-SPNS = {"EngineSpeed": 190, "RequestedTorque": 518, "CurrentGear": 523, "InputShaftSpeed": 161}
+SPNS = {
+    "EngineSpeed": 190, "RequestedTorque": 518, "CurrentGear": 523, "InputShaftSpeed": 161,
+    "WheelBasedSpeed": 84, "FrontAxleSpeed": 904, "FrontLeftSpeed": 1592, "VehicleSpeed": 1624,
+}  # fmt: skip
 """Some of SAE J1939-71's."""
 
 
@@ -38,12 +43,16 @@ def test_the_file_is_that_of_the_contract() -> None:
 
 def test_every_signal_of_the_standard_has_its_spn_in_both_files() -> None:
     """The number that its comment begins with."""
-    for path in (J1939_DBC, DBC_PATH):
-        database = cantools.database.load_file(path)
-        for each in STANDARD:
-            for signal in database.get_message_by_name(each.name).signals:
-                assert f"SPN {signal.spn}" == str(signal.comment).split(",")[0]
-                assert SPNS.get(signal.name, signal.spn) == signal.spn
+    of_nodes = [
+        message
+        for path in (DBC_PATH, TRUCK_DBC)
+        for message in cantools.database.load_file(path).messages
+    ]
+    names = {each.name for each in STANDARD}
+    for message in (*PARSED.messages, *of_nodes):
+        for signal in message.signals if message.name in names else ():
+            assert f"SPN {signal.spn}" == str(signal.comment).split(",")[0]
+            assert SPNS.get(signal.name, signal.spn) == signal.spn
 
 
 @pytest.mark.parametrize("spec", STANDARD, ids=[spec.name for spec in STANDARD])

@@ -25,6 +25,7 @@ from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.live.up import _commands, add_parser
+from meshpoint.testbench.table import build_parser
 
 READY = "in gear 8, ready"
 PROC = Path("/proc")
@@ -129,6 +130,15 @@ def test_both_nodes_get_the_keys_by_which_commands_are_proven(tmp_path: Path) ->
         assert command[command.index("--keys") + 1] == "k.toml"
     without, *_ = [command for _, command in _commands(parser.parse_args(["up"]), tmp_path / "p")]
     assert "--keys" not in without
+
+
+def test_the_rig_alone_is_asked_for_the_trucks_other_nodes(tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    add_parser(parser.add_subparsers())
+    namespace = parser.parse_args(["up", "--truck"])
+    _, (_, rig), (_, controller) = _commands(namespace, tmp_path / "pace")
+    assert build_parser().parse_args(rig[2:]).truck_nodes
+    assert "--truck" not in controller
 
 
 @pytest.mark.long
