@@ -134,7 +134,7 @@ reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.help.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
 
-# What is made from dbc/meshpoint.dbc, after a change of it.
+# What is made from dbc/meshpoint.dbc and dbc/truck.dbc, after a change of them.
 dbc: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.dbc.stubs
 	$(BIN)/python -m meshpoint.dbc.classic.make

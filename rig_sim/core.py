@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
@@ -29,9 +29,7 @@ from meshpoint.rig_sim.presets import build_world
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US, Order
 from meshpoint.rig_sim.suspicions import Suspicions
-
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.truck_nodes.nodes import TruckNodes
+from meshpoint.rig_sim.truck_nodes.nodes import TruckNodes
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
 FROM_IO: Final = frozenset(
@@ -42,13 +40,6 @@ ENGINE_REQUEST: Final = CODECS[TSC1.__name__].spec.can_id
 CLUTCH: Final = CODECS[ClutchCommand.__name__].spec.can_id
 CLUTCH_ACTION: Final = 3
 """The byte of the clutch command that says what it is to do."""
-
-
-def truck_nodes(seed: int) -> TruckNodes:
-    """The truck's other nodes; with their messages they are loaded by rigs that play them alone."""
-    from meshpoint.rig_sim.truck_nodes.nodes import TruckNodes
-
-    return TruckNodes(seed)
 
 
 class RigCore:
@@ -75,7 +66,7 @@ class RigCore:
         self._suspicions = Suspicions()
         self._dropped = 0
         self.truth = self._world.truth
-        self._truck_nodes = truck_nodes(settings.seed) if settings.truck_nodes else None
+        self._truck_nodes = TruckNodes(settings.seed) if settings.truck_nodes else None
 
     @property
     def as_built(self) -> dict[str, Any] | None:

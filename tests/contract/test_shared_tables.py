@@ -15,6 +15,7 @@ import meshpoint.controller.guard.case
 import meshpoint.controller.guard.listening as guard_ear
 import meshpoint.controller.node
 import meshpoint.controller.valve_name
+import meshpoint.rig_sim.node
 import meshpoint.rig_sim.shared.valve_drivers
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
@@ -29,6 +30,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.dbc.truck import TRUCK_DBC
 from meshpoint.gearbox import MainGear
 from meshpoint.testbench.logs.consumed import RIG_ADDRESSES
 
@@ -70,6 +72,15 @@ def test_the_controller_answers_to_its_address_in_the_dbc(database: Database) ->
 def test_the_rig_process_has_the_addresses_of_the_nodes_it_plays(database: Database) -> None:
     played = {address(database, name) for name in ("GearboxIo", "Engine", "Reference")}
     assert played == RIG_ADDRESSES
+    assert played == meshpoint.rig_sim.node.ADDRESSES
+
+
+def test_each_of_the_trucks_other_nodes_sends_from_its_address() -> None:
+    truck = cantools.database.load_file(TRUCK_DBC)
+    for sent in truck.messages:
+        assert sent.frame_id & 0xFF == address(truck, sent.senders[0]), sent.name
+    others = {address(truck, name) for name in ("Brakes", "Tachograph")}
+    assert others == meshpoint.rig_sim.node.TRUCK_ADDRESSES
 
 
 def test_the_status_frame_closes_the_step(database: Database) -> None:

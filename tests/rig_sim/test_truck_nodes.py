@@ -54,9 +54,7 @@ def rig(preset: Preset = Preset.TRUCK, **settings: Any) -> RigCore:
     return RigCore(load_sheet(preset.sheet_name), RigSettings(preset=preset, **chosen))
 
 
-def steps(
-    core: RigCore, seconds: float, begin_us: int = 0
-) -> Iterator[tuple[int, list[Frame]]]:
+def steps(core: RigCore, seconds: float, begin_us: int = 0) -> Iterator[tuple[int, list[Frame]]]:
     for read_us in range(begin_us, begin_us + round(seconds * 1e6), READ_US):
         yield read_us, core.step(read_us).frames
 

@@ -48,6 +48,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "up": (
         "meshpoint up",
         "meshpoint up --seed 7 --strategy speed_window --log run.log",
+        "meshpoint up --truck --log truck.log",
         "meshpoint up --pace-only bus.time",
     ),
     "controller": (
