@@ -177,16 +177,46 @@ def test_a_vehicle_that_becomes_slower_is_read_a_little_late_and_its_rate_is_kno
     assert read.mean() == pytest.approx(rate, abs=0.05)
 
 
-def test_a_signal_stops_at_its_end() -> None:
-    """The bench's script takes the vehicle from 13 to 20 m/s in 0.3 s."""
+@pytest.fixture(scope="module")
+def ramp() -> tuple[dict[str, list[Said]], dict[str, list[Said]]]:
+    """At an even 13 m/s, and then the bench's script takes the vehicle to 20 m/s in 0.3 s."""
     core = rig(as_built=EVEN)
-    said(core, 0.5)
+    before = said(core, 0.5)
     back = BenchCommand(
         action=BenchAction.RETURN_TO_GEAR, gear=12, sequence=1, main_speed_rad_s=1_000.0 * RPM
     )
     core.receive(Transmitter(Node.BENCH).encode(back))
-    read = [each.values["LongitudinalAcceleration"] for each in said(core, 2.0, 500_000)["VDC2"]]
+    return before, said(core, 2.0, 500_000)
+
+
+def test_a_signal_stops_at_its_end(ramp: tuple[dict[str, list[Said]], ...]) -> None:
+    read = [each.values["LongitudinalAcceleration"] for each in ramp[1]["VDC2"]]
     assert max(each for each in read if each is not None) == 12.5
+
+
+def test_a_speed_is_as_old_as_its_window_its_teeth_and_its_node_make_it(
+    ramp: tuple[dict[str, list[Said]], ...],
+) -> None:
+    even, steep = (each["HRW"] for each in ramp)
+    tyre = {
+        name: np.mean([each.values[name] / KMH / each.road_m_s for each in even[10:]])
+        for name in WHEELS
+    }
+    road = {each.read_us: each.road_m_s for each in ramp[1]["VDC2"]}
+    ages_s = []
+    for each in steep:
+        rates = np.diff([road.get(each.read_us - k * READ_US, 0.0) for k in range(6)]) * -1e2
+        if rates.min() < 20.0 or np.ptp(rates) > 1e-3:
+            continue  # not in the middle of the ramp
+        for name in WHEELS:
+            ages_s.append((each.road_m_s - each.values[name] / KMH / tyre[name]) / rates[0])
+            teeth = wheel_error_m_s(each.road_m_s) - brakes.TYRE_SHARE * each.road_m_s
+            around_s = 2.0 * teeth / rates[0]
+            half_s, tooth_s = brakes.WINDOW_US / 2e6, TOOTH_M / (each.road_m_s - 1.0)
+            assert half_s - around_s < ages_s[-1]
+            assert ages_s[-1] < half_s + 1.5 * tooth_s + DELAY_US * 1e-6 + around_s
+    mean_s = half_s + 0.75 * tooth_s + DELAY_US / 2e6
+    assert np.mean(ages_s) == pytest.approx(mean_s, abs=1e-3)
 
 
 def test_driven_wheels_that_slip_are_told_apart() -> None:
@@ -198,6 +228,17 @@ def test_driven_wheels_that_slip_are_told_apart() -> None:
         assert hrw[f"front_{side}_speed_m_s"] == pytest.approx(10.0, rel=0.02)
         assert hrw[f"rear_{side}_speed_m_s"] == pytest.approx(11.0, rel=0.02)
         assert ebc2[f"rear_{side}_relative_m_s"] == pytest.approx(1.0, abs=0.3)
+
+
+def test_where_the_driveline_twists_driven_wheels_are_a_body_of_their_own() -> None:
+    core = rig(profile=Profile.TYPICAL)
+    said(core, 0.5)
+    vehicle, state = core.truth.vehicle, core.truth.plant.y  # type: ignore[attr-defined]
+    assert vehicle is not None
+    turning_rad_s = {state.wheels_rad_s, state.vehicle_rad_s, core.truth.speeds_rad_s[-1]}
+    assert len(turning_rad_s) == 3
+    assert vehicle.driven_m_s == state.wheels_rad_s * vehicle.wheel_m
+    assert vehicle.road_m_s == state.vehicle_rad_s * vehicle.wheel_m
 
 
 def test_nobody_brakes(even: dict[str, list[Said]]) -> None:
