@@ -46,6 +46,28 @@ def test_the_tool_does_find_faults(tmp_path: Path) -> None:
     assert done.returncode == 1
 
 
+@pytest.mark.parametrize("by_standard", [False, True], ids=["own_grammar", "standards_grammar"])
+@pytest.mark.parametrize("is_wrong", [False, True])
+def test_how_to_reach_the_controller_is_said_as_the_grammar_has_it(
+    by_standard: bool, is_wrong: bool, tmp_path: Path
+) -> None:
+    """The tool removes an IF_DATA block that does not fit the grammar: ours, or the standard's,
+    which it brings."""
+    text = TEXT.replace("UNIT_1US TIMESTAMP_FIXED", "UNIT_1Y") if is_wrong else TEXT
+    assert is_wrong == (text != TEXT)
+    path, cleaned = tmp_path / "controller.a2l", tmp_path / "cleaned.a2l"
+    if by_standard:
+        text = re.sub("/begin A2ML.*?/end A2ML", "", text, flags=re.DOTALL)
+    path.write_text(text, "utf-8")
+    insert = ["--insert-a2ml"] if by_standard else []
+    with_grammar = tmp_path / "with_grammar.a2l"
+    for given in ([*insert, path, "-o", with_grammar], ["--ifdata-cleanup", with_grammar]):
+        subprocess.run(
+            [CHECKER, *given, *(["-o", cleaned] if "-o" not in given else [])], check=True
+        )
+    assert ("/begin IF_DATA XCP" in cleaned.read_text("utf-8")) != is_wrong
+
+
 def test_a_setting_has_its_limits_its_unit_and_its_address() -> None:
     aim = block_of("CHARACTERISTIC", "window.aim_slip_rpm")
     (row,) = (i for i, each in enumerate(PARAMETERS) if each.name == "window.aim_slip_rpm")

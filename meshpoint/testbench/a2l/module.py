@@ -26,7 +26,7 @@ from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.specs import SignalSpec
 from meshpoint.gearbox.keys import groups_of, unit_of
 from meshpoint.testbench.a2l.blocks import block, hexadecimal, quoted
-from meshpoint.testbench.a2l.transport import xcp_on_can
+from meshpoint.testbench.a2l.transport import grammar, xcp_on_can
 
 PROTECTION: Final = ("Crc", "Counter")
 """Signals of the E2E header, which measure nothing."""
@@ -55,6 +55,7 @@ def a2l(version: str) -> str:
     conversions: dict[Conversion, str] = {}
     objects = [*_parameters(conversions), *_signals(conversions), *_figures(conversions)]
     lines = [
+        *grammar(),
         *_module_parameters(version),
         *block("MOD_COMMON", '""', ["BYTE_ORDER MSB_LAST", "ALIGNMENT_FLOAT32_IEEE 4"]),
         *xcp_on_can(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
 from meshpoint.controller.settings import Timing
@@ -12,6 +13,9 @@ from meshpoint.controller.xcp.slave import EVENT_NAMES, MOST_OF_A_BLOCK
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.testbench.a2l.blocks import block, hexadecimal
 
+GRAMMAR: Final = Path(__file__).with_name("xcp.aml")
+SHORT_NAMES: Final = {Event.STEP: "step", Event.SHIFT_END: "shiftend"}
+"""Of eight letters at most."""
 BIT_RATE: Final = 500_000
 DATA_BIT_RATE: Final = 2_000_000
 """Those of the wire contract (docs/wire.md)."""
@@ -25,6 +29,11 @@ MANDATORY: Final = {
     Command.WRITE_DAQ, Command.SET_DAQ_LIST_MODE, Command.START_STOP_DAQ_LIST,
     Command.START_STOP_SYNCH,
 }  # fmt: skip
+
+
+def grammar() -> Iterator[str]:
+    """What an IF_DATA block may hold, for tools that do not know it: the A2ML block."""
+    return block("A2ML", "", GRAMMAR.read_text("ascii").splitlines())
 
 
 def xcp_on_can() -> Iterator[str]:
@@ -50,7 +59,7 @@ def _daq() -> Iterator[str]:
     for event in Event:
         name = EVENT_NAMES[event].decode()
         cycle_ms = Timing().tick_ms if event is Event.STEP else 0
-        lines += block("EVENT", f'"{name}" "{name}" {event} DAQ 0xFF {cycle_ms} 6 0')
+        lines += block("EVENT", f'"{name}" "{SHORT_NAMES[event]}" {event} DAQ 0xFF {cycle_ms} 6 0')
     return block("DAQ", "", lines)
 
 
