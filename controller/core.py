@@ -418,10 +418,13 @@ class ControllerCore:
     def _clutch_command(self, seen: GuardInputs, events: list[str]) -> Frame:
         """What the sequence wants of the clutch; open where the guard forbids to close."""
         frame = self._transmitter.encode(ClutchCommand(action=self._sequence.clutch))
-        driveline = self._driveline_guard
-        if driveline.passes_clutch(frame.data, seen):
+        driveline, before = self._driveline_guard, self._sequence.closing_blocked
+        passes = driveline.passes_clutch(frame.data, seen)
+        self._sequence.closing_blocked = not passes
+        if passes:
             return frame
-        events.append(f"guard blocked a clutch command: row {driveline.blocked_row}")
+        if not before:  # it may go on for seconds
+            events.append(f"guard keeps the clutch open: row {driveline.blocked_row}")
         return self._transmitter.instead(ClutchCommand())
 
     def _engine_request(self, seen: GuardInputs, events: list[str]) -> list[Frame]:
@@ -468,7 +471,7 @@ class ControllerCore:
         ended = sequence.finished is not None
         answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)
         events += lines
-        if sequence.shift is None and xcp.settings is not self._calibrated:
+        if sequence.shift is None and xcp.settings != self._calibrated:
             events.append(f"XCP: {changes_in_words(self._calibrated, xcp.settings)}")
             self._settings = self._calibrated = xcp.settings
             try:

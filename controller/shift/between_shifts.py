@@ -32,12 +32,28 @@ def find_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """In gear or in neutral with the clutch closed; follows the gear that the positions show."""
     context.clutch = ClutchAction.CLOSE
+    _catch_engine(context, snapshot)
     gear = snapshot.view.main_gear if snapshot.view.complete else None
     if gear is None:
         return None
     if gear is MainGear.NEUTRAL:
         return Trigger.FOUND_IN_NEUTRAL if context.state is not State.NEUTRAL else None
     return Trigger.FOUND_IN_GEAR if context.state is not State.IN_GEAR else None
+
+
+def _catch_engine(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """Where the guard lets no clutch close because the engine turns too differently, it is asked
+    for the gear's speed until the clutch has closed: a controller that starts, or comes back, while
+    the truck rolls and the engine idles."""
+    gear = DRIVE_GEARS.get(snapshot.view.gear_number) if snapshot.view.complete else None
+    is_closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
+    context.catches_engine |= context.closing_blocked
+    if not context.catches_engine:
+        return
+    if gear is None or is_closed:
+        context.catches_engine, context.engine_rad_s = False, None
+    else:
+        context.ask_engine(gear, 0.0, snapshot)
 
 
 def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:

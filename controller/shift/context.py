@@ -77,6 +77,10 @@ class ShiftContext:
         """The speed the engine is asked for; None: nothing is asked."""
         self.engine_share: float | None = None
         """The torque the engine is asked for, as a share of its reference torque; None: none."""
+        self.closing_blocked = False
+        """The guard has kept the clutch from closing in the step before."""
+        self.catches_engine = False
+        """Between shifts, the engine is asked for the gear's speed so that the clutch may close."""
         self.torque = TorqueFall()
         self.rings = DrivelineRings(sheet)
         self.shift: ShiftRecord | None = None

@@ -189,6 +189,7 @@ class ShiftSequence(ShiftContext):
             self.finished, self.fault = record, record.fault
             return f"request for gear {number} refused: {reason}"
         self.shift, self.fault = record, FaultCode.NONE
+        self.catches_engine, self.engine_rad_s = False, None
         self._go(Trigger.REQUESTED, snapshot)
         return None
 

@@ -30,7 +30,7 @@ class Memory:
         self.name = identity(version).encode()
         self.measured = MeasuredMemory()
         self._pages = pages
-        self._access = access
+        self.is_writable = access is XcpAccess.WRITE
 
     def read(self, address: int, length: int) -> bytes:
         """RefusedError where not all of it lies in one region."""
@@ -53,7 +53,7 @@ class Memory:
 
     def check_writable(self) -> None:
         """RefusedError unless the node was started with `--xcp write`."""
-        if self._access is not XcpAccess.WRITE:
+        if not self.is_writable:
             raise RefusedError(XcpError.WRITE_PROTECTED)
 
     def _identity(self, start: int, length: int) -> bytes:

@@ -41,8 +41,9 @@ class Parameter:
         return self.rule.kind is int
 
     @cached_property
-    def limits(self) -> tuple[float, float]:
-        """Its range in its unit, as four bytes can hold it."""
+    def _packed_limits(self) -> tuple[float, float]:
+        """Its range in its unit, as four bytes can hold it: a limit may lie beyond the real one by
+        its last digit."""
         return self.unpacked(self.packed(self.rule.low)), self.unpacked(self.packed(self.rule.high))
 
     def packed(self, value: float) -> bytes:
@@ -62,10 +63,9 @@ class Parameter:
 
     def in_si(self, content: bytes) -> float:
         """The attribute's value. RefusedError where it is out of range."""
-        value, (low, high) = self.unpacked(content), self.limits
+        value, (low, high) = self.unpacked(content), self._packed_limits
         if not low <= value <= high:
             raise RefusedError(XcpError.OUT_OF_RANGE)
-        # A float32 limit may lie beyond the real one by its last digit.
         value = min(max(value, self.rule.low), self.rule.high)
         return value if self.is_whole else value * self.rule.si
 
@@ -122,10 +122,12 @@ class CalibrationPages:
         return self._images[self.seen][start : start + length]
 
     def write(self, start: int, content: bytes) -> None:
-        """All of it or nothing. RefusedError: on the reference page, or where a value would be out
-        of its range or would not suit the others."""
+        """All of it or nothing. RefusedError: on the reference page, for a part of a value, or
+        where one would be out of its range or would not suit the others."""
         if self.seen is Page.REFERENCE:
             raise RefusedError(XcpError.WRITE_PROTECTED)
+        if start % ROW_BYTES or len(content) % ROW_BYTES:
+            raise RefusedError(XcpError.OUT_OF_RANGE)
         image = self._images[Page.WORKING]
         image = image[:start] + content + image[start + len(content) :]
         self._changed = self._settings_of(image)

@@ -138,8 +138,8 @@ class XcpSlave:
             return []
         if packet[0] == Command.CONNECT:
             return self._connect(packet, is_fd)
-        if not self._is_connected:
-            return []
+        if not self._is_connected or is_fd is not self.is_fd:
+            return []  # of nobody, or of another master than the one that has connected
         self._more = []
         if packet[0] not in (Command.DOWNLOAD, Command.DOWNLOAD_NEXT):
             self._block = None
@@ -165,9 +165,10 @@ class XcpSlave:
         self._is_connected = True
         self.packet_bytes = FD_BYTES if is_fd else CLASSIC_BYTES
         self._daq, self._block, self._mta = DaqLists(self.packet_bytes), None, 0
+        resources = DAQ | (CAL_PAG if self._memory.is_writable else 0)
         return [
             struct.pack(
-                "<BBBBHBB", POSITIVE, CAL_PAG | DAQ, BLOCKS_OPTIONAL, self.packet_bytes,
+                "<BBBBHBB", POSITIVE, resources, BLOCKS_OPTIONAL, self.packet_bytes,
                 self.packet_bytes, VERSION, VERSION,
             )
         ]  # fmt: skip
@@ -296,8 +297,8 @@ class XcpSlave:
     def _get_page_info(self, packet: bytes) -> bytes:
         segment, page = packet[2:4]
         _check_segment(segment, page)
-        writable = WRITE_IN_PAGE if page == Page.WORKING else 0
-        return bytes([READ_IN_ALL_PAGES | writable, 0])
+        is_writable = page == Page.WORKING and self._memory.is_writable
+        return bytes([READ_IN_ALL_PAGES | (WRITE_IN_PAGE if is_writable else 0), 0])
 
     def _copy_cal_page(self, packet: bytes) -> bytes:
         from_segment, from_page, to_segment, to_page = packet[1:5]

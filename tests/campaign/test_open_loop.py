@@ -26,6 +26,7 @@ from meshpoint.testbench.open_loop.judged import Judged, judge
 from meshpoint.testbench.open_loop.open_loop import SHIFTING, OpenLoop
 from meshpoint.testbench.open_loop.trajectory import Trajectory, said
 from meshpoint.testbench.version import product_version
+from meshpoint.units import RPM
 
 SHIFTS = 4
 RECORDED, OTHER = "speed_window", "target_phase"
@@ -97,6 +98,21 @@ def test_it_decides_as_the_branched_bench_until_a_valve_is_driven_differently(
         compared += len(expected)
     assert compared > 20
     assert sum(shift.parted is not None for shift in judged) >= 2
+
+
+def test_a_controller_that_would_ask_the_engine_is_said_to(
+    bench: tuple[list[ClosedLoop], ClosedLoop, Path], header: RunHeader
+) -> None:
+    """It counts on more slip than is left once the brake has been released: it would not wait, but
+    have the engine help, which has no model here."""
+    _, loop, folder = bench
+    aiming = header.settings.with_strategy(OTHER)
+    window = replace(aiming.window, least_rad_s=30.0 * RPM)
+    open_loop = OpenLoop(lambda header: replace(header, settings=replace(aiming, window=window)))
+    header.save(folder)
+    LogReplay(folder, verify=True, onlooker=open_loop).run(frames_of(loop))
+    whys = [each.counterfactual.why for each in open_loop.judged.values() if each.counterfactual]
+    assert any("asked the engine for speed" in why for why in whys), whys
 
 
 def as_it_was(branch: ClosedLoop, header: RunHeader) -> list[Judged]:

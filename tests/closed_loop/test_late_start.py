@@ -8,7 +8,15 @@ import pytest
 from loop_bench import Loop
 
 from meshpoint.controller.sensing.refused_lead import KEPT_US, MOST_TICKS, RefusedLead
-from meshpoint.dbc.messages import ShiftResult, ValveStatus
+from meshpoint.dbc.messages import (
+    ControllerState,
+    ControllerStatus,
+    GearboxSensors,
+    ShiftResult,
+    ValveStatus,
+)
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset, Profile
 
 REQUEST_US = 60_000
 LOST_US = 500_000
@@ -46,3 +54,26 @@ def test_more_lead_is_kept_for_a_while_and_given_up_again() -> None:
     assert lead.more_us == MOST_TICKS * 10_000
     assert not lead.take(None, 2 * KEPT_US + 1)
     assert lead.more_us == 0
+
+
+def is_closed(loop: Loop) -> bool:
+    sensors = loop.last(GearboxSensors)
+    return loop.time.now_us > 2_100_000 and sensors.clutch_position_fraction > 0.97
+
+
+def test_a_clutch_that_may_not_close_on_an_idling_engine_closes_once_it_has_been_raised() -> None:
+    """The rig has run alone for two seconds, its clutch open and its engine at idle: closing would
+    slip by more than the guard lets it, so the engine is asked for the gear's speed first."""
+    loop = Loop(
+        sheet=load_sheet("truck12"),
+        preset=Preset.TRUCK,
+        profile=Profile.TYPICAL,
+        phases_us=(2_000_000, 189, 5_513),
+    )
+    assert loop.until(lambda: is_closed(loop), 5_000_000)
+    assert [line for line in loop.events if "guard keeps the clutch open: row 15" in line] == [
+        "2000000 controller: guard keeps the clutch open: row 15"
+    ]
+    assert loop.seen(ControllerStatus, state=ControllerState.IN_GEAR)
+    loop.until(lambda: False, loop.time.now_us + 500_000)
+    assert loop.core.sequence.engine_rad_s is None, "the engine is the driver's again"

@@ -43,6 +43,7 @@ from meshpoint.testbench.logs.consumption import Consumption
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.version import product_version
+from meshpoint.testbench.watch.story import Story
 from meshpoint.units import RPM
 
 BOTH = pytest.mark.parametrize("fd", [True, False], ids=["can_fd", "can"])
@@ -186,6 +187,33 @@ def test_another_node_that_answers_in_the_controllers_place_is_told(tmp_path: Pa
     assert session.intruders == {XCP_RESPONSE_ID: 1}
 
 
+def test_a_log_tells_what_was_set_and_when() -> None:
+    """Not what was refused."""
+    with master(requests=[]) as (one, loop, cable):
+        one.connect()
+        write(one, AIM, 24.0)
+        refusal(write, one, AIM, 240.0)
+        one.setMta(address_of("window.contact_high_rpm"))
+        one.download(struct.pack("<2f", 90.0, 60.0))
+        one.setCalPage(CONTROLLER, 0, REFERENCE)
+        one.copyCalPage(0, REFERENCE, 0, WORKING)
+        cable.pass_time(50_000)
+    story = Story()
+    lines = [
+        line.words
+        for time_us, frame in loop.frames
+        for line in story.receive(time_us / 1e6, frame)
+        if line.who == "tool"
+    ]
+    assert lines == [
+        "sets window.aim_slip_rpm = 24 (XCP)",
+        "sets window.contact_high_rpm = 90 (XCP)",
+        "sets window.contact_low_rpm = 60 (XCP)",
+        "has the controller use the reference page (XCP)",
+        "copies the reference page to the working page (XCP)",
+    ]
+
+
 def test_a_header_keeps_what_a_master_may_do(tmp_path: Path) -> None:
     sheet = load_sheet("thesis")
     header = new_header("1", sheet, ControllerSettings(), xcp=XcpAccess.READ)
@@ -219,7 +247,7 @@ def test_a_thousand_downloads_leave_every_setting_in_its_range(tmp_path: Path) -
 
 def drawn(parameter: Parameter, draw: random.Random) -> bytes:
     """Inside the limits, beyond them, or anything."""
-    low, high = parameter.limits
+    low, high = parameter.rule.low, parameter.rule.high
     width = high - low
     value = draw.choice(
         [draw.uniform(low, high), low, high, high + draw.random() * width, low - 0.1 * width]
@@ -233,7 +261,11 @@ def changed(
     settings: ControllerSettings, parameter: Parameter, content: bytes
 ) -> ControllerSettings | None:
     """The settings as a file with this value would give them; None where that would be refused."""
-    value, (low, high) = parameter.unpacked(content), parameter.limits
+    value = parameter.unpacked(content)
+    low, high = (
+        parameter.unpacked(parameter.packed(each))
+        for each in (parameter.rule.low, parameter.rule.high)
+    )
     if not (math.isfinite(value) and low <= value <= high):
         return None
     before = getattr(settings, parameter.group)
@@ -251,7 +283,8 @@ def changed(
 
 def test_a_master_that_may_only_read_changes_nothing() -> None:
     with master(xcp=XcpAccess.READ) as (one, loop, cable):
-        one.connect()
+        assert not one.connect().resource.calpag
+        assert not one.getPageInfo(0, WORKING).properties.xcp_write_access_with_ecu
         one.setMta(address_of(AIM))
         assert "WRITE_PROTECTED" in refusal(one.download, struct.pack("<f", 20.0))
         assert "WRITE_PROTECTED" in refusal(one.setCalPage, CONTROLLER, 0, REFERENCE)
@@ -318,6 +351,36 @@ def test_of_a_block_with_a_hole_nothing_is_written() -> None:
         one.download(struct.pack("<f", 20.0) + b"12", 8)
         assert "SEQUENCE" in refusal(one.download, struct.pack("<f", 21.0))
         assert "SEQUENCE" in refusal(one.downloadNext, b"34", 2, True)
+        assert read(one, AIM) == 18.0
+
+
+def test_a_part_of_a_value_is_not_written() -> None:
+    with master(alone=True) as (one, _, _):
+        one.connect()
+        one.setMta(address_of(AIM))
+        assert "OUT_OF_RANGE" in refusal(one.download, b"\0\0")
+        one.setMta(address_of(AIM) + 2)
+        assert "OUT_OF_RANGE" in refusal(one.download, struct.pack("<f", 20.0))
+        assert read(one, AIM) == 18.0
+
+
+def test_a_value_that_is_there_already_is_no_change() -> None:
+    with master() as (one, loop, cable):
+        one.connect()
+        write(one, AIM, 18.0)
+        cable.pass_time(50_000)
+        assert not [line for line in loop.events if "XCP" in line]
+        write(one, AIM, 19.5)
+        cable.pass_time(50_000)
+        assert [line for line in loop.events if f"XCP: {AIM} 18 -> 19.5" in line]
+
+
+def test_a_master_of_the_other_kind_of_frames_is_not_heard_in_a_session() -> None:
+    with master(fd=False, alone=True) as (one, run, cable):
+        one.connect()
+        one.setMta(address_of(AIM))
+        run.core.receive(Frame(XCP_COMMAND_ID, b"\xf0\x04" + struct.pack("<f", 20.0), is_fd=True))
+        cable.pass_time(50_000)
         assert read(one, AIM) == 18.0
 
 
@@ -397,12 +460,10 @@ def test_a_recorded_shift_holds_what_the_frames_held(fd: bool, tmp_path: Path) -
         one.connect()
         recorder.setup()
         recorder.start()
-        began_us = loop.time.now_us
-        loop.operator.ask(10, began_us + 800_000)
+        loop.operator.ask(10, loop.time.now_us + 800_000)
         cable.until(lambda: bool(loop.outcomes))
         cable.pass_time(100_000)
         recorder.stop()
-        ended_us = loop.time.now_us
         one.disconnect()
     assert len(loop.outcomes) == 1
     convert_xmraw("mdf", str(tmp_path / "shift.xmraw"), str(tmp_path / "shift.mf4"))
@@ -410,9 +471,8 @@ def test_a_recorded_shift_holds_what_the_frames_held(fd: bool, tmp_path: Path) -
         for name in named:
             sent = [
                 frame.data
-                for time_us, frame in loop.frames
+                for _, frame in loop.frames
                 if frame.can_id == next(m.can_id for m in MESSAGES if m.name == name)
-                and began_us - 20_000 < time_us < ended_us
             ]
             for row, _, signal in measurable(name)[:most]:
                 samples = [int(each) for each in recorded.get(row).samples]
@@ -454,7 +514,7 @@ def random_commands(draw: random.Random) -> list[Frame]:
     """Now and then some that open a session, and write where a setting is."""
     if draw.random() < 0.02:
         return [Frame(XCP_COMMAND_ID, b"\xff\x00", is_fd=bool(draw.getrandbits(1)))]
-    if draw.random() < 0.05:
+    if draw.random() < 0.2:
         address = PAGE_ADDRESS + ROW_BYTES * draw.randrange(len(PARAMETERS))
         number = drawn(draw.choice(PARAMETERS), draw)
         point, write = b"\xf6\0\0\0" + struct.pack("<I", address), b"\xf0\x04" + number

@@ -62,17 +62,18 @@ def test_how_to_reach_the_controller_is_said_as_the_grammar_has_it(
     insert = ["--insert-a2ml"] if by_standard else []
     subprocess.run([CHECKER, *insert, path, "-o", path], check=True)
     subprocess.run([CHECKER, "--ifdata-cleanup", path, "-o", cleaned], check=True)
-    assert ("/begin IF_DATA XCP" in cleaned.read_text("utf-8")) != is_wrong
+    left = cleaned.read_text("utf-8").count("/begin IF_DATA XCP")
+    assert left == (1 if is_wrong else 2), "of the module, and of the pages' segment"
 
 
 def test_a_setting_has_its_limits_its_unit_and_its_address() -> None:
     aim = block_of("CHARACTERISTIC", "window.aim_slip_rpm")
     (row,) = (i for i, each in enumerate(PARAMETERS) if each.name == "window.aim_slip_rpm")
     address = f"0x{PAGE_ADDRESS + ROW_BYTES * row:08X}"
-    conversion = re.search(rf"VALUE {address} float 0 (\w+) 1.0 200.0", aim)
+    conversion = re.search(rf"VALUE {address} float 0 (\w+) 1 200", aim)
     assert conversion is not None, aim
     assert '"rpm"' in block_of("COMPU_METHOD", conversion[1])
-    assert "`" not in aim.split('"')[0]
+    assert "target_phase releases the brake" in aim
 
 
 def test_every_setting_between_shifts_is_in_it_and_no_limit_of_the_guard() -> None:
@@ -81,8 +82,7 @@ def test_every_setting_between_shifts_is_in_it_and_no_limit_of_the_guard() -> No
     assert "limits.blocks" in named
     assert not [name for name in named if name.startswith("guard.") or "valve_on" in name]
     for each in PARAMETERS:
-        low, high = each.limits
-        assert low <= each.of(ControllerSettings()) <= high
+        assert each.rule.low <= each.of(ControllerSettings()) <= each.rule.high
 
 
 def test_a_flag_is_one_bit_of_its_message() -> None:
@@ -97,6 +97,11 @@ def test_a_state_has_words() -> None:
     table = re.search(r"UBYTE (\w+) ", state)
     assert table is not None
     assert '"HALTED"' in block_of("COMPU_VTAB", f"{table[1]}_words").upper()
+
+
+def test_a_learned_figure_says_what_it_is() -> None:
+    text = block_of("MEASUREMENT", "learned.noise.torque_nm")
+    assert "Standard deviation of the torques at the layshaft that its model leaves out." in text
 
 
 def test_another_version_has_another_name() -> None:

@@ -19,7 +19,8 @@ AIM = "window.aim_slip_rpm"
 
 
 def tune(folder: Path, channel: str, *words: str) -> str:
-    command = [sys.executable, ROOT / "examples" / "xcp_tune.py", "meshpoint.a2l", *words, channel]
+    command = [sys.executable, ROOT / "examples" / "xcp_tune.py", "meshpoint.a2l", *words]
+    command += ["-c", channel]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     return done.stdout.strip().splitlines()[-1]
 
@@ -33,9 +34,10 @@ def test_a_setting_is_tuned_from_a_shell_and_the_log_is_repeated(
     given = ["--xcp", "write", "--log", "run.log", "--header-dir", ".", "-c", channel]
     with live(tmp_path, "up", *given) as up:
         up.until_said("ready for requests")
-        assert tune(tmp_path, channel, AIM, "24") == f"{AIM} = 18, 24 from the next shift on"
+        assert tune(tmp_path, channel, AIM, "24") == f"{AIM} = 18, now 24"
         assert "OUT_OF_RANGE" in tune(tmp_path, channel, AIM, "240")
         up.until_said(f"XCP: {AIM} 18 -> 24")
+        assert tune(tmp_path, channel, "limits.attempts", "4") == "limits.attempts = 3, now 4"
         assert main(["request", "10", "-c", channel]) == 0
         up.signal(signal.SIGINT)
         assert up.end() == 0

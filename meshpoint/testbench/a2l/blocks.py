@@ -18,8 +18,8 @@ def block(kind: str, first: str, lines: Iterable[str] = ()) -> Iterator[str]:
 
 
 def quoted(text: str) -> str:
-    """A text on one line."""
-    one_line = " ".join(plain(text).split())
+    """A text on one line, without the marks of our pages."""
+    one_line = " ".join(plain(text).replace("`", "").split())
     return '"{}"'.format(one_line.replace("\\", "\\\\").replace('"', '\\"'))
 
 

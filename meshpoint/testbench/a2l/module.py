@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import inspect
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.settings import SettingsFile
 from meshpoint.controller.xcp.measured import (
     FIGURE_BYTES,
@@ -14,6 +18,7 @@ from meshpoint.controller.xcp.measured import (
     MESSAGES,
     SENT_BYTES,
     SLEEVES,
+    LearnedFigure,
 )
 from meshpoint.controller.xcp.memory import (
     IDENTITY_ADDRESS,
@@ -24,9 +29,10 @@ from meshpoint.controller.xcp.memory import (
 from meshpoint.controller.xcp.parameters import PAGE_BYTES, PARAMETERS, ROW_BYTES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.specs import SignalSpec
-from meshpoint.gearbox.keys import groups_of, unit_of
+from meshpoint.gearbox.keys import field_docs, groups_of, unit_of
+from meshpoint.gearbox.tables import key_of
 from meshpoint.testbench.a2l.blocks import block, hexadecimal, quoted
-from meshpoint.testbench.a2l.transport import grammar, xcp_on_can
+from meshpoint.testbench.a2l.transport import grammar, pages, xcp_on_can
 
 PROTECTION: Final = ("Crc", "Counter")
 """Signals of the E2E header, which measure nothing."""
@@ -47,7 +53,10 @@ class Conversion:
 
     def named(self, number: int) -> str:
         """The name in the file."""
-        return self.value_table or f"conversion_{number}"
+        if self.value_table is not None:
+            return self.value_table
+        unit = re.sub(r"\W", "_", self.unit.replace("%", "percent")) or "number"
+        return unit if (self.scale, self.offset) == (1.0, 0.0) else f"{unit}_{number}"
 
 
 def a2l(version: str) -> str:
@@ -72,7 +81,7 @@ def a2l(version: str) -> str:
 
 def _module_parameters(version: str) -> Iterator[str]:
     page = f"{hexadecimal(PAGE_ADDRESS)} {PAGE_BYTES} -1 -1 -1 -1 -1"
-    segment = block("MEMORY_SEGMENT", f'settings "" DATA FLASH INTERN {page}')
+    segment = block("MEMORY_SEGMENT", f'settings "" DATA FLASH INTERN {page}', pages())
     name = identity(version)
     lines = [f"ADDR_EPK {hexadecimal(IDENTITY_ADDRESS)}", f"EPK {quoted(name)}", *segment]
     return block("MOD_PAR", '""', lines)
@@ -109,11 +118,11 @@ def _parameters(known: dict[Conversion, str]) -> Iterator[str]:
     for row, each in enumerate(PARAMETERS):
         conversion = _conversion(known, Conversion(unit_of(each.rule.key)))
         address = hexadecimal(PAGE_ADDRESS + ROW_BYTES * row)
-        layout, (low, high) = "whole" if each.is_whole else "float", each.limits
+        layout, low, high = "whole" if each.is_whole else "float", each.rule.low, each.rule.high
         yield from block(
             "CHARACTERISTIC",
             f"{each.name} {quoted(meanings[each.name])}",
-            [f"VALUE {address} {layout} 0 {conversion} {low!r} {high!r}"],
+            [f"VALUE {address} {layout} 0 {conversion} {low:.15g} {high:.15g}"],
         )
 
 
@@ -148,7 +157,17 @@ def figures() -> Iterator[tuple[str, str, str]]:
         yield f"sleeve.{name}_mm", "mm", f"newest position of the sleeve {name}"
     yield "guard.row", "", "row of the guard that blocked this step's valve command; 0: none"
     for each in LEARNED:
-        yield each.name, unit_of(each.rule.key), "as in a calibration file; NaN: not known yet"
+        yield each.name, unit_of(each.rule.key), f"{_meaning(each)} NaN: not known yet."
+
+
+def _meaning(figure: LearnedFigure) -> str:
+    """What a calibration file's group and key mean, by their docstrings."""
+    record: Any = Calibration
+    for name in figure.groups:
+        group = next(each for each in dataclasses.fields(record) if key_of(each) == name)
+        record = group.metadata["group"]
+    about = inspect.getdoc(record) or ""
+    return f"{about} {figure.rule.key}: {field_docs(record).get(figure.attribute, '')}"
 
 
 def _figures(known: dict[Conversion, str]) -> Iterator[str]:
@@ -160,14 +179,17 @@ def _figures(known: dict[Conversion, str]) -> Iterator[str]:
 
 
 def _groups() -> Iterator[str]:
+    meanings = {group.name: group.meaning for group in groups_of(SettingsFile)}
     for name in dict.fromkeys(each.group for each in PARAMETERS):
         members = [each.name for each in PARAMETERS if each.group == name]
-        yield from block("GROUP", f'{name} ""', ["ROOT", *block("REF_CHARACTERISTIC", "", members)])
+        yield from _group(name, meanings[name], "REF_CHARACTERISTIC", members)
     for message in MESSAGES:
         names = [s.name for s in message.signals if s.name not in PROTECTION]
         members = [f"{message.name}.{name}" for name in names]
-        yield from block(
-            "GROUP", f'{message.name} ""', ["ROOT", *block("REF_MEASUREMENT", "", members)]
-        )
+        yield from _group(message.name, message.comment, "REF_MEASUREMENT", members)
     members = [name for name, _, _ in figures()]
-    yield from block("GROUP", 'figures ""', ["ROOT", *block("REF_MEASUREMENT", "", members)])
+    yield from _group("figures", "Sleeves, guard, what was learned", "REF_MEASUREMENT", members)
+
+
+def _group(name: str, meaning: str, kind: str, members: list[str]) -> Iterator[str]:
+    return block("GROUP", f"{name} {quoted(meaning)}", ["ROOT", *block(kind, "", members)])

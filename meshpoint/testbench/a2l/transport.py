@@ -8,7 +8,8 @@ from typing import Final
 
 from meshpoint.controller.settings import Timing
 from meshpoint.controller.xcp.daq import Event
-from meshpoint.controller.xcp.protocol import CLASSIC_BYTES, FD_BYTES, VERSION, Command
+from meshpoint.controller.xcp.parameters import PAGE_BYTES, Page
+from meshpoint.controller.xcp.protocol import FD_BYTES, VERSION, Command
 from meshpoint.controller.xcp.slave import EVENT_NAMES, MOST_OF_A_BLOCK
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.testbench.a2l.blocks import block, hexadecimal
@@ -23,12 +24,7 @@ EXTENDED: Final = 0x8000_0000
 TIMEOUT_MS: Final = 1_000
 """For each of T1 to T7: an answer comes with the next step, some 10 ms later; a step of a live node
 on a busy machine may be late."""
-MANDATORY: Final = {
-    Command.CONNECT, Command.DISCONNECT, Command.GET_STATUS, Command.SYNCH, Command.DOWNLOAD,
-    Command.SET_CAL_PAGE, Command.GET_CAL_PAGE, Command.CLEAR_DAQ_LIST, Command.SET_DAQ_PTR,
-    Command.WRITE_DAQ, Command.SET_DAQ_LIST_MODE, Command.START_STOP_DAQ_LIST,
-    Command.START_STOP_SYNCH,
-}  # fmt: skip
+MANDATORY: Final = {Command.CONNECT, Command.DISCONNECT, Command.GET_STATUS, Command.SYNCH}
 
 
 def grammar() -> Iterator[str]:
@@ -41,10 +37,20 @@ def xcp_on_can() -> Iterator[str]:
     return block("IF_DATA", "XCP", [*_protocol(), *_daq(), *block("PAG", "0x01"), *_can()])
 
 
+def pages() -> Iterator[str]:
+    """The memory segment's IF_DATA block: a reference page and a working page."""
+    free = "ECU_ACCESS_DONT_CARE XCP_READ_ACCESS_DONT_CARE"
+    lines = [f"0 {len(Page)} 0 0 0", *block("CHECKSUM", f"XCP_CRC_32 MAX_BLOCK_SIZE {PAGE_BYTES}")]
+    for page in Page:
+        written = "DONT_CARE" if page is Page.WORKING else "NOT_ALLOWED"
+        lines += block("PAGE", f"{page} {free} XCP_WRITE_ACCESS_{written} INIT_SEGMENT 0")
+    return block("IF_DATA", "XCP", block("SEGMENT", "", lines))
+
+
 def _protocol() -> Iterator[str]:
     version = f"0x{VERSION:02X}01"
     times = " ".join(str(TIMEOUT_MS) for _ in range(7))
-    lines = [f"{version} {times} {CLASSIC_BYTES} {CLASSIC_BYTES}"]
+    lines = [f"{version} {times} {FD_BYTES} {FD_BYTES}"]
     lines += ["BYTE_ORDER_MSB_LAST ADDRESS_GRANULARITY_BYTE"]
     lines += [f"OPTIONAL_CMD {each.name}" for each in Command if each not in MANDATORY]
     lines += [f"COMMUNICATION_MODE_SUPPORTED BLOCK SLAVE MASTER {MOST_OF_A_BLOCK} 0"]
@@ -54,7 +60,7 @@ def _protocol() -> Iterator[str]:
 def _daq() -> Iterator[str]:
     lines = [f"DYNAMIC 0 {len(Event)} 0 OPTIMISATION_TYPE_DEFAULT ADDRESS_EXTENSION_FREE"]
     lines += ["IDENTIFICATION_FIELD_TYPE_ABSOLUTE GRANULARITY_ODT_ENTRY_SIZE_DAQ_BYTE"]
-    lines += [f"{CLASSIC_BYTES - 1} NO_OVERLOAD_INDICATION PRESCALER_SUPPORTED"]
+    lines += [f"{FD_BYTES - 1} NO_OVERLOAD_INDICATION PRESCALER_SUPPORTED"]
     lines += block("TIMESTAMP_SUPPORTED", "1 SIZE_DWORD UNIT_1US TIMESTAMP_FIXED")
     for event in Event:
         name = EVENT_NAMES[event].decode()

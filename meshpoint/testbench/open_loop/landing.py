@@ -116,9 +116,13 @@ class _Layshaft:
 
     free = True
 
-    def __init__(self, model: MotionModel) -> None:
-        self.model = model
+    def __init__(self, model: MotionModel, inertia_kgm2: float) -> None:
+        self.model, self._inertia_kgm2 = model, inertia_kgm2
         self.state: LayshaftState | None = None
+
+    def drag_nm(self, omega_rad_s: float) -> float:
+        """The data sheet's friction at a speed (Nm)."""
+        return self._inertia_kgm2 * self.model.friction_per_s * abs(omega_rad_s)
 
     def latest(self) -> LayshaftState:
         """Where a prediction starts."""
@@ -215,7 +219,8 @@ class _Draw:
         sequence, parting = self.sequence, self._parting
         plan = sequence.running.plan if sequence.state is ControllerState.ENGAGING else None
         if parting.model is not None and plan is None:
-            layshaft = _Layshaft(parting.model)
+            inertia_kgm2 = parting.sheet.inertia_kgm2(sequence.running.target.split)
+            layshaft = _Layshaft(parting.model, inertia_kgm2)
             for seen in _steps(self._trajectory, parting.step):
                 sequence.step(self._snapshot(seen, layshaft))
                 decided = sequence.decision

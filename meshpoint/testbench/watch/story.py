@@ -41,6 +41,7 @@ from meshpoint.testbench.results.aborts import aborts_words, halt_mm
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.watch.heard import Heard
+from meshpoint.testbench.watch.xcp_writes import XcpWrites
 from meshpoint.units import DEG, RPM
 
 STATES: Final = {
@@ -105,7 +106,7 @@ class Line(NamedTuple):
     of_request_ms: float | None
     """Milliseconds since the gear was asked for, by the sensor clock; None outside a shift."""
     who: str
-    """One of driver, controller, gearbox, truth, bus or bench."""
+    """One of driver, controller, gearbox, tool, truth, bus or bench."""
     words: str
 
     def to_json(self) -> dict[str, object]:
@@ -130,6 +131,7 @@ class Story:
         self._request_us: int | None = None
         self._asked: int | None = None
         self._newest: dict[type[object], Message] = {}
+        self._xcp = XcpWrites()
         self._valve_on_us: dict[str, int] = {}
         self._valid: set[str] = set()
         self._lost: set[str] = set()
@@ -153,6 +155,8 @@ class Story:
             self._begin_s = time_s
         self._lines = []
         message = self.message = self.heard.receive(time_s, frame)
+        for words in self._xcp.take(frame):
+            self._tell("tool", f"{words} (XCP)")
         if message is not None:
             teller = self._tellers.get(type(message))
             if teller is not None:
