@@ -19,7 +19,8 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 from meshpoint.bus.simulated.confinement import ErrorState
 from meshpoint.bus.simulated.core import QUEUE_LENGTH, QueueOrder
 from meshpoint.bus.simulated.events import ErrorKind
-from meshpoint.bus.simulated.frame_bits import BitTiming, WireFrame, check_frame, fd_length
+from meshpoint.bus.simulated.frame_bits import BitTiming
+from meshpoint.bus.simulated.messages import wire_frame_of
 from meshpoint.bus.simulated.wire import Port, close_port, open_channels, open_port
 
 INTERFACE: Final = "meshpoint_simulated"
@@ -95,7 +96,7 @@ class SimulatedBus(can.BusABC):
         if msg.is_error_frame:
             self._wire.destroy(1, ErrorKind.STUFF, None, self._port.number)
             return
-        sent = self._wire.send(self._port, _wire_frame(msg), timeout)
+        sent = self._wire.send(self._port, wire_frame_of(msg), timeout)
         if sent is None:
             raise can.CanOperationError(f"{INTERFACE}: bus-off", errno.ENETDOWN)
         if not sent:
@@ -176,21 +177,3 @@ def _bit_ns(bitrate: int) -> int:
             f"{MAX_BITRATE}"
         )
     return 1_000_000_000 // bitrate
-
-
-def _wire_frame(message: can.Message) -> WireFrame:
-    data = bytes(message.data)
-    if message.is_fd and len(data) <= 64:
-        data = data.ljust(fd_length(len(data)), b"\0")
-    frame = WireFrame(
-        message.arbitration_id,
-        b"" if message.is_remote_frame else data,
-        message.is_fd,
-        message.is_extended_id,
-        message.is_fd and message.bitrate_switch,
-        message.is_remote_frame,
-        message.is_fd and message.error_state_indicator,
-        message.dlc if message.is_remote_frame else None,
-    )
-    check_frame(frame)
-    return frame

@@ -23,6 +23,7 @@ from meshpoint.bus.simulated.events import (
     StateChanged,
 )
 from meshpoint.bus.simulated.frame_bits import BitTiming, WireFrame
+from meshpoint.bus.simulated.messages import message_of
 
 Bus = tuple[BitTiming, QueueOrder]
 
@@ -193,20 +194,8 @@ class Wire:
                 port.hear(self._message(event, is_own))
 
     def _message(self, event: Delivered, is_own: bool) -> can.Message:
-        frame = event.frame
-        return can.Message(
-            timestamp=(self._epoch_ns + self._began_ns + event.time_ns) / 1e9,
-            arbitration_id=frame.can_id,
-            is_extended_id=frame.is_extended,
-            is_remote_frame=frame.is_remote,
-            is_fd=frame.is_fd,
-            bitrate_switch=frame.is_fd and frame.bitrate_switch,
-            error_state_indicator=frame.is_fd and frame.error_state,
-            is_rx=not is_own,
-            channel=self.name,
-            dlc=frame.dlc if frame.is_remote else len(frame.data),
-            data=None if frame.is_remote else frame.data,
-        )
+        time_s = (self._epoch_ns + self._began_ns + event.time_ns) / 1e9
+        return message_of(event.frame, time_s, self.name, is_own)
 
     def _report(self, event: Destroyed) -> None:
         for port in self.ports.values():

@@ -19,6 +19,7 @@ from meshpoint.testbench.loop.adapter import AdapterCore
 from meshpoint.testbench.loop.bench import BENCH_IDS, TICK_US
 from meshpoint.testbench.loop.loaded_bus import LoadedBus
 from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.shared_bus import NEVER_US, Elsewhere, SharedBus
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 RIG_NODES: Final = frozenset((Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE))
@@ -60,11 +61,16 @@ def virtual_bench(
     on_frame: Callable[[int, Frame], None] | None = None,
     on_event: Callable[[int, int, str], None] | None = None,
     records: Records | None = None,
+    shared: SharedBus | None = None,
 ) -> VirtualBench:
     """These cores, with what `setup` has between them and their bus, on that bus.
 
     on_frame, on_event: as in `VirtualTime`. records: take a classic run's steps, to be verified
-    by."""
+    by. shared: the bus, where cores are `Elsewhere`."""
+    phases_us = [
+        NEVER_US if isinstance(core, Elsewhere) else phase_us
+        for core, phase_us in zip((controller, rig, operator), tick_phases(setup.seed), strict=True)
+    ]
     if setup.keys is not None:
         controller = proven(controller, setup.keys)
         rig = verified(rig, setup.keys, _random_bits(setup.seed))
@@ -80,11 +86,11 @@ def virtual_bench(
     reads = (ALL_IDS, RIG_IDS, BENCH_IDS, *(onlooker.reads for onlooker in onlookers))
     time = VirtualTime(
         cores,
-        [*tick_phases(setup.seed), *(onlooker.first_us for onlooker in onlookers)],
+        [*phases_us, *(onlooker.first_us for onlooker in onlookers)],
         on_frame,
         on_event,
         [ALL_IDS - ids for ids in reads],
-        loaded,
+        shared if loaded is None else loaded,
     )
     if adapter is not None:
         adapter.now_us = lambda: time.now_us

@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
+from meshpoint.bus.core import Step
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
@@ -22,6 +23,8 @@ from meshpoint.testbench.loop.bench_builder import virtual_bench
 from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.schedules import UPSHIFTS
 from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.shared_bus import Elsewhere, SharedBus
+from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.monitor import Monitor
@@ -74,6 +77,26 @@ class Result:
             "cold_start": self.cold_start,
             "provenance": self.provenance,
         } | more
+
+
+class Apart(Protocol):
+    """Runs the rig in another process, on a bus that both share."""
+
+    bus: SharedBus
+
+    def run(
+        self, time: VirtualTime, until: Callable[[], bool], limit_us: int, end: Callable[[], Step]
+    ) -> None:
+        """As `VirtualTime.run`; `end` makes the controller's last frames. RunError where the other
+        process is lost."""
+
+
+def rig_of(setup: Setup) -> RigCore:
+    """The rig, in the gear that the first shift begins with."""
+    pairs = list(setup.pairs if setup.shifts else UPSHIFTS)
+    return RigCore(
+        setup.sheet, setup.rig(plan_shifts(setup.sheet, pairs, 1, LAYSHAFT_RAD_S)[0])
+    )
 
 
 def _with_bounds(
@@ -129,18 +152,18 @@ def simulate(
     keep: Keep | None = None,
     stop: Callable[[], bool] = lambda: False,
     record: Path | None = None,
+    apart: Apart | None = None,
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
     `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
     the controller knows more, and at the end; `stop`, looked at after every step, ends it early.
     `record`: the folder of the run header, where a classic run's steps are written to be verified
-    by."""
+    by. `apart`: runs the rig in another process, with the same frames."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
-    first = plan or plan_shifts(setup.sheet, list(UPSHIFTS), 1, LAYSHAFT_RAD_S)
-    rig = RigCore(setup.sheet, setup.rig(first[0]))
+    rig = rig_of(setup)
     core = ControllerCore(setup.header)
     controller = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
     unpack = _unpacker(setup.wire)
@@ -158,15 +181,20 @@ def simulate(
 
     records, unwritten = Records(record or Path()), list[str]()
     bench = virtual_bench(
-        setup, controller, rig, operator, on_frame=take, on_event=on_event,
-        records=None if record is None else records,
+        setup, controller, rig if apart is None else Elsewhere(), operator,
+        on_frame=take, on_event=on_event, records=None if record is None else records,
+        shared=None if apart is None else apart.bus,
     )  # fmt: skip
     time = bench.time
     settle()
-    if plan:
-        is_over = _written_first(records, unwritten, lambda: operator.done or stop())
-        time.run(is_over, LIMIT_US_PER_SHIFT * len(plan))
-    bench.controller.shutdown(time.now_us)
+    is_over = _written_first(records, unwritten, lambda: operator.done or stop())
+    limit_us = LIMIT_US_PER_SHIFT * len(plan)
+    if apart is not None:
+        apart.run(time, is_over, limit_us, lambda: bench.controller.shutdown(time.now_us))
+    else:
+        if plan:
+            time.run(is_over, limit_us)
+        bench.controller.shutdown(time.now_us)
     unwritten += records.close()
     return Result(
         rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),

@@ -87,10 +87,15 @@ class VirtualBus:
         self.busy_us += waiting[1]
         self._free_us = self.next_us = at_us + waiting[1]
 
+    @property
+    def on_bus(self) -> tuple[int, Frame]:
+        """Sender and frame that is on the bus. Call where `next_us` is finite."""
+        if self._on_bus is None:
+            raise RuntimeError("take from an idle bus")
+        return self._on_bus[2:]
+
     def take(self) -> tuple[int, Frame]:
         """Sender and frame that is through now; the next one starts. Call at `next_us`."""
-        through = self._on_bus
-        if through is None:
-            raise RuntimeError("take from an idle bus")
+        through = self.on_bus
         self._start(self._free_us)
-        return through[2], through[3]
+        return through

@@ -1,7 +1,7 @@
 """The virtual-time driver: the same cores as live, on one event heap, without sleeping.
 
-Steps wait on a heap ordered by time, then sequence; the bus has one frame on its way at a time, and
-a frame that is through comes before a step at the same microsecond. So a run is a function of its
+Steps wait on a heap ordered by time, then node; the bus has one frame on its way at a time, and a
+frame that is through comes before a step at the same microsecond. So a run is a function of its
 seed.
 """
 
@@ -13,6 +13,7 @@ from collections.abc import Callable
 from meshpoint.bus.core import Core
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.loop.loaded_bus import LoadedBus
+from meshpoint.testbench.loop.shared_bus import SharedBus
 from meshpoint.testbench.loop.virtual_bus import VirtualBus
 
 
@@ -32,16 +33,15 @@ class VirtualTime:
         on_frame: Callable[[int, Frame], None] | None = None,
         on_event: Callable[[int, int, str], None] | None = None,
         rejected: list[frozenset[int]] | None = None,
-        bus: VirtualBus | LoadedBus | None = None,
+        bus: VirtualBus | LoadedBus | SharedBus | None = None,
     ) -> None:
         self._cores = cores
         self._rejected = rejected or [frozenset()] * len(cores)
         self._bus = VirtualBus() if bus is None else bus
         self._on_frame = on_frame
         self._on_event = on_event
-        self._heap: list[tuple[int, int, int]] = []
+        self._heap: list[tuple[int, int]] = []
         self._routes: dict[tuple[int, int], list[tuple[int, Core]]] = {}
-        self._sequence = 0
         self._due: list[int] = list(phases_us)
         self._phases_us = list(phases_us)
         self.now_us = 0
@@ -49,13 +49,12 @@ class VirtualTime:
             self._push(phase_us, node)
 
     @property
-    def bus(self) -> VirtualBus | LoadedBus:
+    def bus(self) -> VirtualBus | LoadedBus | SharedBus:
         """The bus, for its load."""
         return self._bus
 
     def _push(self, time_us: int, node: int) -> None:
-        self._sequence += 1
-        heapq.heappush(self._heap, (time_us, self._sequence, node))
+        heapq.heappush(self._heap, (time_us, node))
 
     def run(self, until: Callable[[], bool], limit_us: int) -> bool:
         """Runs until `until()` says so, looked at after every step, or until `limit_us`.
@@ -73,7 +72,7 @@ class VirtualTime:
                     self._deliver(*through)
             if heap[0][0] > limit_us:
                 return False
-            self.now_us, _, node = heapq.heappop(heap)
+            self.now_us, node = heapq.heappop(heap)
             if self._due[node] == self.now_us:
                 self._step(node)
                 if until():

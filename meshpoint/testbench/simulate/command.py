@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.silkit.library import REGISTRY
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
@@ -26,7 +27,7 @@ from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
 from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import Result, simulate
+from meshpoint.testbench.loop.simulate import Apart, Result, simulate
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.comparison import compare, comparison_table, explain
 from meshpoint.testbench.report.run import Report, ReportRun
@@ -76,6 +77,15 @@ def add_parser(commands: Any) -> None:
     arguments.add_keys(parser)
     arguments.add_wire(parser)
     _add_bus(parser)
+    parser.add_argument(
+        "--silkit",
+        nargs="?",
+        const=REGISTRY,
+        metavar="REGISTRY",
+        help="controller and rig as two processes, coordinated participants of Vector SIL Kit: "
+        f"same frames, to the byte; a registry has to listen there (default: {REGISTRY}); needs "
+        "meshpoint[silkit] (docs/silkit.md)",
+    )
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
@@ -148,6 +158,17 @@ def _adapter(namespace: argparse.Namespace, sheet: GearboxSheet) -> AdapterProfi
     return profile
 
 
+def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
+    """What runs the rig in another process, where --silkit asks for it."""
+    if namespace.silkit is None:
+        return None
+    if setup.bus_load is not None:
+        raise CommandError("--silkit: other nodes' frames (--bus-load) are not on its bus")
+    from meshpoint.testbench.silkit.rig_apart import RigApart
+
+    return RigApart(setup, namespace.silkit)
+
+
 def _load(text: str) -> float:
     try:
         value = float(text)
@@ -164,6 +185,7 @@ def run(namespace: argparse.Namespace) -> int:
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
     unwritten: list[str] = []
     setup = _setup(namespace, sheet, preset, calibration)
+    apart = _apart(namespace, setup)
     out = console(namespace.json)
     check_report(namespace.report)
     collector = None
@@ -201,6 +223,7 @@ def run(namespace: argparse.Namespace) -> int:
             keep=_keep(writer, unwritten),
             stop=stop,
             record=None if log is None else log.path.parent,
+            apart=apart,
         )
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))

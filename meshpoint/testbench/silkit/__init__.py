@@ -1,0 +1,1 @@
+"""`meshpoint simulate --silkit`: controller and rig as coordinated participants of SIL Kit."""
