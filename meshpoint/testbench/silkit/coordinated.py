@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import struct
+import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
@@ -25,6 +27,9 @@ TOPIC: Final = "meshpoint/handed"
 HEAD: Final = struct.Struct("<QB")
 """Virtual time (us) and node; the identifiers of its frames follow, four bytes each."""
 LOOK_S: Final = 0.1
+ABORT_S: Final = 5.0
+"""How long SIL Kit may take to end a simulation in which somebody is lost; without its system
+controller it never does."""
 
 
 class Announced:
@@ -92,6 +97,17 @@ def unpack(message: bytes) -> tuple[int, int, tuple[int, ...]]:
     return time_us, node, struct.unpack_from(f"<{count}I", message, HEAD.size)
 
 
+class _LeftWaiting(ThreadPoolExecutor):
+    """Threads that nobody waits for: one in SIL Kit may never come back."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
+        threading.Thread(
+            target=lambda: future.set_result(fn(*args, **kwargs)), daemon=True
+        ).start()
+        return future
+
+
 class Coordinated:
     """One participant, from when it joins to the end of the simulation."""
 
@@ -144,15 +160,17 @@ class Coordinated:
             raise self._error
 
     async def _until_ended(self, end: Callable[[], Step], look: Callable[[], None]) -> None:
+        asyncio.get_running_loop().set_default_executor(_LeftWaiting())
         ended = asyncio.ensure_future(self._lifecycle.start_lifecycle())
         while not ended.done():
             await asyncio.wait([ended], timeout=LOOK_S)
-            if self._error is None and not ended.done():
-                try:
-                    look()
-                except Exception as error:  # noqa: BLE001 (whatever has happened to the others)
-                    self._send_last(end)
-                    self._error = error
+            try:
+                look()
+            except Exception as error:  # noqa: BLE001 (whatever has happened to the others)
+                self._send_last(end)
+                self._fail(error)
+                await asyncio.wait([ended], timeout=ABORT_S)
+                return
 
     def _window(
         self, now_us: int, time: VirtualTime, until: Callable[[], bool], limit_us: int,
