@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants digests demo docs test installed wheel acceptance kernels vcan vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants digests demo docs test installed wheel acceptance kernels vcan silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -69,6 +69,14 @@ kernels: $(VENV)/test.stamp
 vcan: kernels
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
 	tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan -v --durations=0
+
+# Controller and rig as participants of SIL Kit, in a Python that silkit-py has a wheel for: an
+# environment of its own, and kernels compiled for it once.
+SILKIT := $(VENV)-silkit
+silkit:
+	python=$$(PYTHON=$(PYTHON) tools/silkit-python) && \
+	    $(MAKE) --no-print-directory VENV=$(SILKIT) PYTHON=$$python kernels
+	$(SILKIT)/bin/python -m pytest -m "device and not long" tests/silkit
 
 # The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
 controllers: kernels
@@ -171,4 +179,4 @@ bench: $(VENV)/test.stamp
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf $(VENV) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(SILKIT) out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

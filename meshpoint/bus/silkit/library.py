@@ -1,7 +1,7 @@
 """Vector SIL Kit through `silkit-py`: participants, and frames in its form.
 
-The package is experimental, so the extra pins it. It needs Python 3.12 or newer, and brings library,
-registry and system controller."""
+The package is experimental, so the extra pins it. It needs Python 3.12 or newer, and brings
+library, registry and system controller."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The python-can interface `silkit`: a CAN network of SIL Kit, in wall time.
 
-A participant that nobody coordinates: it joins and leaves when it likes, and hears what others send,
-those of a coordinated run as well, at once."""
+A participant that nobody coordinates: it joins and leaves when it likes, and hears what others
+send, those of a coordinated run as well, at once."""
 
 from __future__ import annotations
 

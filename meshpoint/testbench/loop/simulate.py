@@ -94,9 +94,7 @@ class Apart(Protocol):
 def rig_of(setup: Setup) -> RigCore:
     """The rig, in the gear that the first shift begins with."""
     pairs = list(setup.pairs if setup.shifts else UPSHIFTS)
-    return RigCore(
-        setup.sheet, setup.rig(plan_shifts(setup.sheet, pairs, 1, LAYSHAFT_RAD_S)[0])
-    )
+    return RigCore(setup.sheet, setup.rig(plan_shifts(setup.sheet, pairs, 1, LAYSHAFT_RAD_S)[0]))
 
 
 def _with_bounds(

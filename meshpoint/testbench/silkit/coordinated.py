@@ -1,9 +1,9 @@
 """A coordinated participant of SIL Kit that runs some nodes of a shared bus, window by window.
 
 SIL Kit's steps are the windows of `SharedBus`. In each, frames that nodes hand over go out on the
-CAN network at once, for whoever listens; a message of topic `meshpoint/handed` before them says when
-in the window that was, for which SIL Kit's CAN has no field. All of a step arrives before the other
-participant's next one begins."""
+CAN network at once, for whoever listens; a message of topic `meshpoint/handed` before them says
+when in the window that was, for which SIL Kit's CAN has no field. All of a step arrives before the
+other participant's next one begins."""
 
 from __future__ import annotations
 
@@ -67,16 +67,19 @@ class Announced:
         if not self._frames:
             raise SilKitError(f"network {self._network}: frame 0x{can_id:X} has not arrived")
         came = self._frames.popleft()
+        if came.can_id != can_id:
+            raise self._refusal(came, "neither controller nor rig has sent it")
         try:
-            if came.can_id != can_id:
-                raise ValueError("neither controller nor rig has sent it")
             wired = wire_frame_of(came)
         except ValueError as error:
-            raise SilKitError(
-                f"network {self._network}: frame 0x{came.can_id:X}: {error}; in a run that is the "
-                "same to the byte others may only listen"
-            ) from error
+            raise self._refusal(came, str(error)) from error
         return Frame(wired.can_id, wired.data, wired.is_fd, wired.is_extended)
+
+    def _refusal(self, came: Heard, why: str) -> SilKitError:
+        return SilKitError(
+            f"network {self._network}: frame 0x{came.can_id:X}: {why}; in a run that is the same "
+            "to the byte others may only listen"
+        )
 
 
 def pack(handed: HandOver) -> bytes:
@@ -102,9 +105,7 @@ class _LeftWaiting(ThreadPoolExecutor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future = Future[Any]()
-        threading.Thread(
-            target=lambda: future.set_result(fn(*args, **kwargs)), daemon=True
-        ).start()
+        threading.Thread(target=lambda: future.set_result(fn(*args, **kwargs)), daemon=True).start()
         return future
 
 
@@ -112,7 +113,9 @@ class Coordinated:
     """One participant, from when it joins to the end of the simulation."""
 
     def __init__(self, name: str, registry: str, bus: SharedBus, own: frozenset[int]) -> None:
-        """own: the nodes it runs, by their places on the bench. SilKitError where it cannot join."""
+        """own: the nodes it runs, by their places on the bench.
+
+        SilKitError where it cannot join."""
         silkit = library()
         self._bus = bus
         self._participant = join(name, registry)
@@ -150,7 +153,7 @@ class Coordinated:
             try:
                 self._window(now_ns // 1000, time, until, limit_us, end)
             except Exception as error:  # noqa: BLE001
-                self._fail(error)
+                self._fail(error, end)
 
         self._lifecycle.set_communication_ready_handler(self._can.start)
         time_sync = self._lifecycle.create_time_sync_service()
@@ -167,8 +170,7 @@ class Coordinated:
             try:
                 look()
             except Exception as error:  # noqa: BLE001 (whatever has happened to the others)
-                self._send_last(end)
-                self._fail(error)
+                self._fail(error, end)
                 await asyncio.wait([ended], timeout=ABORT_S)
                 return
 
@@ -191,9 +193,13 @@ class Coordinated:
             self._publisher.publish(pack(own))
             self._send(own.frames)
 
-    def _fail(self, error: Exception) -> None:
-        self._error = error
-        self._lifecycle.stop(str(error))
+    def _fail(self, error: Exception, end: Callable[[], Step]) -> None:
+        if self._error is None:
+            self._error = error
+            try:
+                self._send_last(end)
+            finally:
+                self._lifecycle.stop(str(error))
 
     def _send_last(self, end: Callable[[], Step]) -> None:
         """Valves off, for whoever listens: nobody of the run takes them."""
