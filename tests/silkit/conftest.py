@@ -10,22 +10,18 @@ from collections.abc import Iterator
 import pytest
 from patience import until
 
-pytest.importorskip("SilKit_py", reason="silkit-py is for Python 3.12 and newer: `make silkit`")
-
-from SilKit_py.tools import executable
-
 from meshpoint.bus.silkit.library import SilKitError, join
 
 
 class Registry:
     """SIL Kit's registry on a port of its own."""
 
-    def __init__(self) -> None:
+    def __init__(self, executable: object) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.uri = f"silkit://127.0.0.1:{free.getsockname()[1]}"
         self.process = subprocess.Popen(
-            [executable("sil-kit-registry"), "--listen-uri", self.uri, "--log", "off"],
+            [str(executable), "--listen-uri", self.uri, "--log", "off"],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         until(self._answers, "a registry")
@@ -44,6 +40,9 @@ class Registry:
 
 @pytest.fixture
 def registry() -> Iterator[Registry]:
-    made = Registry()
+    why = "silkit-py is for Python 3.12 and newer: `make silkit`"
+    made = Registry(
+        pytest.importorskip("SilKit_py.tools", reason=why).executable("sil-kit-registry")
+    )
     yield made
     made.end()

@@ -125,7 +125,7 @@ def test_without_a_registry_there_is_no_bus_and_it_says_how_to_start_one(registr
 
 
 @pytest.mark.parametrize("uri", ["nonsense", "silkit://127.0.0.1:99999"])
-def test_a_registry_that_is_none_is_named(uri: str) -> None:
+def test_a_registry_that_is_none_is_named(registry: Any, uri: str) -> None:
     with pytest.raises(can.CanInitializationError, match=uri):
         SilKitBus(registry=uri)
 
