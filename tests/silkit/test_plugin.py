@@ -118,10 +118,15 @@ def test_what_others_send_that_is_no_can_frame_is_left_out_and_said_once(
         ]
 
 
-def test_without_a_registry_there_is_no_bus_and_it_says_how_to_start_one(registry: Any) -> None:
+def test_without_a_registry_there_is_no_bus_and_it_is_named(registry: Any) -> None:
     registry.end()
-    with pytest.raises(can.CanInitializationError, match=rf"{registry.uri}.*silkit-registry"):
-        SilKitBus(registry=registry.uri)
+    said = set()
+    for _ in range(2):  # a node that tries again says it once
+        with pytest.raises(can.CanInitializationError) as refused:
+            SilKitBus(registry=registry.uri)
+        said.add(str(refused.value))
+    assert len(said) == 1
+    assert f"no registry at {registry.uri}" in said.pop()
 
 
 @pytest.mark.parametrize("uri", ["nonsense", "silkit://127.0.0.1:99999"])

@@ -25,6 +25,7 @@ from meshpoint.bus.silkit.library import (
     SilKitError,
     heard,
     join,
+    library,
     send,
     wire_frame,
 )
@@ -70,6 +71,7 @@ class SilKitBus(can.BusABC):
         **kwargs: Any,
     ) -> None:
         self._registry: socket.socket | None = None
+        self._participant = self._controller = None
         if receive_own_messages:
             raise can.CanInitializationError(f"{INTERFACE}: receive_own_messages is not offered")
         network = NETWORK if channel is None else str(channel)
@@ -79,12 +81,18 @@ class SilKitBus(can.BusABC):
         self._sent_s = float("-inf")
         self._where = f"network {network}, registry {registry}"
         try:
-            self._participant = join(name, registry)
+            library()
             self._registry = _connection(registry)
-        except (SilKitError, OSError, ValueError) as error:
+            self._participant = join(name, registry)
+        except (OSError, ValueError) as error:
             raise can.CanInitializationError(
-                f"{INTERFACE}: {error}; `silkit-registry` starts a registry"
+                f"{INTERFACE}: no registry at {registry}: {error}; `silkit-registry` starts one"
             ) from error
+        except SilKitError as error:
+            if self._registry is not None:
+                self._registry.close()
+                self._registry = None
+            raise can.CanInitializationError(f"{INTERFACE}: {error}") from error
         self._controller = self._participant.create_can_controller("can", network)
         self._controller.add_frame_handler(_put_into(self._arrived))
         self._controller.start()
@@ -150,7 +158,7 @@ class SilKitBus(can.BusABC):
             self._registry.close()
             self._registry = None
             time.sleep(max(0.0, self._sent_s + LAST_S - time.monotonic()))
-            del self._controller, self._participant
+            self._participant = self._controller = None
 
 
 def _put_into(arrived: Arrived) -> Callable[[Any, Any], None]:
