@@ -264,15 +264,23 @@ def test_a_log_is_played_onto_it_and_recorded_from_it(channel: str, tmp_path: Pa
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(channel: str, options: dict[str, object]) -> None:
-    with pytest.raises(can.CanInitializationError):
+    with pytest.raises(can.CanInitializationError, match="allowed"):
         SimulatedBus(channel, **options)  # type: ignore[arg-type]
 
 
 def test_all_nodes_of_a_channel_have_its_bit_rates(
     channel: str, pair: tuple[SimulatedBus, SimulatedBus]
 ) -> None:
-    with pytest.raises(can.CanInitializationError, match="is open with"):
+    with pytest.raises(can.CanInitializationError, match=r"is open with bitrate 500000, .*250000"):
         SimulatedBus(channel, bitrate=250_000)
+
+
+def test_bit_rates_may_come_as_a_bit_timing(channel: str) -> None:
+    classic = can.BitTiming.from_sample_point(8_000_000, 125_000, 75.0)
+    flexible = can.BitTimingFd.from_sample_point(80_000_000, 125_000, 80.0, 2_000_000, 80.0)
+    with SimulatedBus(channel, bitrate=125_000):
+        for timing in (classic, flexible):
+            SimulatedBus(channel, timing=timing).shutdown()
 
 
 def test_a_bus_that_is_shut_down_says_so(channel: str) -> None:

@@ -37,6 +37,7 @@ class SimulatedBus(can.BusABC):
 
     channel: name of the bus; nodes that open the same name are on the same bus.
     bitrate, data_bitrate: bits a second in the arbitration and in the data phase; equal for all.
+    timing: python-can's other way to say them; its sample points have no meaning here.
     queue: `fifo`, frames leave in the order given, or `priority`; equal for all.
     tx_queue_size: frames that may wait to be sent.
     rx_queue_size: messages that may wait to be read; the newest is lost where it is full.
@@ -53,6 +54,7 @@ class SimulatedBus(can.BusABC):
         *,
         bitrate: int = 500_000,
         data_bitrate: int = 2_000_000,
+        timing: can.BitTiming | can.BitTimingFd | None = None,
         queue: str = QueueOrder.FIFO.value,
         tx_queue_size: int = QUEUE_LENGTH,
         rx_queue_size: int = 100_000,
@@ -63,8 +65,12 @@ class SimulatedBus(can.BusABC):
     ) -> None:
         self._is_open = False
         name = "default" if channel is None else str(channel)
+        if isinstance(timing, can.BitTimingFd):
+            bitrate, data_bitrate = timing.nom_bitrate, timing.data_bitrate
+        elif timing is not None:
+            bitrate = timing.bitrate
         try:
-            form = (BitTiming(_bit_ns(bitrate), _bit_ns(data_bitrate)), QueueOrder(queue))
+            form = (BitTiming(_bit_ns(bitrate), _bit_ns(data_bitrate)), _queue_order(queue))
             for what, value, least in (
                 ("tx_queue_size", tx_queue_size, 1),
                 ("rx_queue_size", rx_queue_size, 1),
@@ -167,6 +173,13 @@ class SimulatedBus(can.BusABC):
 def _check_least(what: str, value: int, least: int) -> None:
     if value < least:
         raise ValueError(f"{what} {value}, allowed is {least} or more")
+
+
+def _queue_order(name: str) -> QueueOrder:
+    orders = {order.value: order for order in QueueOrder}
+    if name not in orders:
+        raise ValueError(f"queue {name}, allowed are {', '.join(orders)}")
+    return orders[name]
 
 
 def _bit_ns(bitrate: int) -> int:

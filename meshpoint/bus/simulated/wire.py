@@ -247,8 +247,16 @@ def open_port(
         if wire is None:
             wire = _wires[name] = Wire(name, *form)
         if wire.form != form:
-            raise ValueError(f"channel {name} is open with {wire.form}, asked for is {form}")
+            raise ValueError(
+                f"channel {name} is open with {_said(wire.form)}, asked for is {_said(form)}"
+            )
         return wire, wire.join(queue_length, port)
+
+
+def _said(form: Bus) -> str:
+    timing, order = form
+    bitrates = (1_000_000_000 // bit_ns for bit_ns in (timing.nominal_ns, timing.data_ns))
+    return "bitrate {}, data_bitrate {}, queue {}".format(*bitrates, order.value)
 
 
 def close_port(wire: Wire, port: Port) -> None:
