@@ -144,6 +144,13 @@ class MeshpointBus(can.BusABC):
             self._unsent += records
             self._flush(timeout)
 
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        """Also called alone, by a client elsewhere (Jumpstarter's), whose numbers are floats."""
+        self._filters = filters and [
+            each | {"can_id": int(each["can_id"]), "can_mask": int(each["can_mask"])}
+            for each in filters
+        ]
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
