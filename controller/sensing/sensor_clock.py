@@ -29,7 +29,10 @@ class SensorClockEstimate:
     """Unwraps stamps, and estimates the present time of the sensor clock."""
 
     def __init__(self) -> None:
-        self._offsets: deque[int] = deque(maxlen=WINDOW)
+        self._offsets: deque[tuple[int, int]] = deque()
+        """Of the last WINDOW stamps those than which no later one is less: number and offset. So
+        the first is the least of all, and none has to be looked for."""
+        self._stamps = 0
         self._least = 0
         self.latest_us = 0
         """The newest stamp seen, unwrapped."""
@@ -85,12 +88,13 @@ class SensorClockEstimate:
         return self.latest_us
 
     def _note(self, offset: int) -> None:
-        leaving = self._offsets[0] if len(self._offsets) == WINDOW else None
-        self._offsets.append(offset)
-        if len(self._offsets) == 1 or offset <= self._least:
-            self._least = offset
-        elif leaving == self._least:
-            self._least = min(self._offsets)
+        while self._offsets and self._offsets[-1][1] >= offset:
+            self._offsets.pop()
+        self._offsets.append((self._stamps, offset))
+        if self._offsets[0][0] <= self._stamps - WINDOW:
+            self._offsets.popleft()
+        self._stamps += 1
+        self._least = self._offsets[0][1]
 
     def now_us(self, now_us: int) -> int:
         """The sensor clock now; 0 before the first stamp."""
