@@ -109,6 +109,8 @@ TRANSCRIBED: Final = ("clean_thesis", "typical_1", "faulted_node")
 """Of these all that the controller heard is kept as well: it is repeated without a rig."""
 
 
+LONG: Final = ("typical_2", "typical_3", "typical_on_and_on")
+"""As `typical_1`, with other gears and more shifts: repeated by `make long`."""
 RESTARTED: Final = "restarted"
 """Made twice: the second time the controller begins with what it had learned the first time. The
 second one is what is recorded."""
@@ -257,21 +259,21 @@ def transcript_of(name: str) -> list[str]:
     return lzma.decompress((TRANSCRIPTS / f"{name}.xz").read_bytes()).decode().splitlines()
 
 
-def repeated() -> dict[str, tuple[Run, str | None]]:
-    """All runs made once more, and of those whose controller is repeated alone where it differs."""
-    command = [sys.executable, __file__, "--repeat"]
+def repeated(names: Sequence[str]) -> dict[str, tuple[Run, str | None]]:
+    """Runs made once more, and of those whose controller is repeated alone where it differs."""
+    command = [sys.executable, __file__, "--repeat", *names]
     environment = os.environ | ANY_PROCESSOR
     done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True)
     return {name: (Run(**made), found) for name, (made, found) in json.loads(done.stdout).items()}
 
 
-def repeat() -> None:
+def repeat(names: list[str]) -> None:
     """Reports `repeated`, on standard output."""
     found = {}
-    for name, setup in RUNS.items():
+    for name in names:
         alone = None
         if name in TRANSCRIBED:
-            alone = first_difference(controller_of(setup), transcript_of(name))
+            alone = first_difference(controller_of(RUNS[name]), transcript_of(name))
         found[name] = asdict(made_again(name)[0]), alone
     print(json.dumps(found))
 
@@ -292,7 +294,7 @@ def record(names: list[str]) -> None:
 if __name__ == "__main__":
     if not ANY_PROCESSOR.items() <= os.environ.items():
         os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | ANY_PROCESSOR)
-    if sys.argv[1:] == ["--repeat"]:
-        repeat()
+    if sys.argv[1:2] == ["--repeat"]:
+        repeat(sys.argv[2:])
     else:
         record(sys.argv[1:])

@@ -10,12 +10,14 @@ in plain words which decisions have changed.
 
 from __future__ import annotations
 
+import functools
 import platform
 from typing import NamedTuple
 
 import pytest
 from recorded_runs import (
     DIGESTS,
+    LONG,
     RUNS,
     TRANSCRIBED,
     Run,
@@ -49,26 +51,30 @@ def where_they_part(now: Run, then: Run) -> str:
     return f"frames of {whose} differ from {first / 10} s of bus time on. {MEANT}"
 
 
-@pytest.fixture(scope="module")
-def again() -> dict[str, tuple[Run, str | None]]:
+@functools.cache
+def made_once_more(long: bool) -> dict[str, tuple[Run, str | None]]:
+    return repeated([name for name in RUNS if (name in LONG) is long])
+
+
+def again(name: str) -> tuple[Run, str | None]:
     if platform.machine() != "x86_64":
         pytest.skip(f"recorded on x86_64, this is {platform.machine()}: it may round otherwise")
-    return repeated()
+    return made_once_more(name in LONG)[name]
 
 
-@pytest.mark.parametrize("name", RUNS)
-def test_a_run_is_what_it_was(name: str, again: dict[str, tuple[Run, str | None]]) -> None:
-    now, then = again[name][0], RECORDED[name]
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in RUNS]
+)
+def test_a_run_is_what_it_was(name: str) -> None:
+    now, then = again(name)[0], RECORDED[name]
     assert now.events == then.events, MEANT
     assert now.shifts == then.shifts, MEANT
     assert now == then, where_they_part(now, then)
 
 
 @pytest.mark.parametrize("name", TRANSCRIBED)
-def test_a_controller_that_hears_the_same_sends_the_same(
-    name: str, again: dict[str, tuple[Run, str | None]]
-) -> None:
-    found = again[name][1]
+def test_a_controller_that_hears_the_same_sends_the_same(name: str) -> None:
+    found = again(name)[1]
     assert found is None, f"{name}, {found}. {MEANT}"
 
 

@@ -50,6 +50,7 @@ def slips_rpm(loop: Loop) -> list[float]:
     return slips
 
 
+@pytest.mark.long
 def test_sleeves_are_taken_back_while_the_driveline_swings_out_of_the_window() -> None:
     """Without the last call the main shaft swings away from a sleeve that is under way, and meets
     it at 136 rpm and more. What it does after the last call nobody foresees: of 100 contacts of
