@@ -47,8 +47,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """7,000 tests and their modules are there to stay: to look through them for garbage, 700 objects
-    after 700 objects, took every eighth second of the suite."""
+    """7,000 tests and their modules are there to stay: to look through them for garbage each 700
+    objects took every eighth second of the suite."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000)

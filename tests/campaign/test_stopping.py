@@ -37,7 +37,8 @@ def test_an_interval_that_was_looked_at_until_narrow_holds_the_truth_as_often_as
 
 
 @pytest.mark.parametrize(
-    ("own", "half_width", "icc"), [(0.95, 2, 0.12), (0.98, 1, 0.31), (0.995, 1, 0.12)]
+    ("own", "half_width", "icc"),
+    [pytest.param(0.95, 2, 0.12, marks=pytest.mark.long), (0.98, 1, 0.31), (0.995, 1, 0.12)],
 )
 def test_an_interval_against_a_rate_that_is_integrated_holds_the_truth_as_often_as_it_says(
     own: float, half_width: int, icc: float

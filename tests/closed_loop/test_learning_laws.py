@@ -49,7 +49,7 @@ STEADY = {
 """A brake whose torque over the inertia is the sheet's times one factor, hot or cold."""
 
 
-@pytest.mark.parametrize("gain", [0.85, 1.15])
+@pytest.mark.parametrize("gain", [0.85, pytest.param(1.15, marks=pytest.mark.long)])
 def test_the_brake_and_the_sleeve_are_learned_to_within_what_is_said_of_them(gain: float) -> None:
     loop = a_loop(as_built=STEADY | {"sheet.brake_torque_factor": gain})
     loop.run(LIMIT_US)

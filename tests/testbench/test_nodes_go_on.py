@@ -87,7 +87,7 @@ def hub_of(channel: str) -> int:
     raise AssertionError(f"no hub at {channel}")
 
 
-@pytest.mark.parametrize("profile", ["fd", "classic"])
+@pytest.mark.parametrize("profile", ["fd", pytest.param("classic", marks=pytest.mark.long)])
 def test_a_controller_whose_disk_is_full_goes_on_after_its_link_was_lost(
     channel: str, tmp_path: Path, profile: str
 ) -> None:
@@ -112,7 +112,7 @@ def test_a_controller_whose_disk_is_full_goes_on_after_its_link_was_lost(
     assert code == 1, controller.said
 
 
-@pytest.mark.parametrize("name", ["controller", "rig", "up"])
+@pytest.mark.parametrize("name", ["controller", pytest.param("rig", marks=pytest.mark.long), "up"])
 def test_a_node_whose_words_nobody_reads_any_more_goes_on(channel: str, name: str) -> None:
     read, write = os.pipe()
     os.close(read)
@@ -123,7 +123,7 @@ def test_a_node_whose_words_nobody_reads_any_more_goes_on(channel: str, name: st
         assert end(process) == 0
 
 
-@pytest.mark.parametrize("name", ["controller", "rig"])
+@pytest.mark.parametrize("name", [pytest.param("controller", marks=pytest.mark.long), "rig"])
 def test_a_node_whose_words_find_no_room_goes_on_and_ends_with_1(channel: str, name: str) -> None:
     with FULL.open("wb") as full, node(channel, name, stderr=full) as process:
         with MeshpointBus(channel) as bus:
