@@ -1,4 +1,4 @@
-"""Which folder is which package: three of them lie beside `meshpoint/` in the repository. And
+"""Which folder is which package: four of them lie beside `meshpoint/` in the repository. And
 README as a package index can show it, and the compiled kernels that a wheel brings."""
 
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 from setuptools.command.build_py import build_py
 
-BESIDE = ("controller", "dbc", "rig_sim")
+BESIDE = ("controller", "dbc", "firmware", "rig_sim")
 PICTURE = re.compile(r"!\[[^\]]*\]\((?!https?:)[^)\s]+\)\n*")
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!https?:|#)([^)\s]+)\)")
 FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)

@@ -18,6 +18,9 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ShiftOutcome
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
+from meshpoint.testbench.firmware.build import library
+from meshpoint.testbench.firmware.firmware_rig import FirmwareRig
+from meshpoint.testbench.firmware.native_board import NativeBoard
 from meshpoint.testbench.loop.bench import BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.bench_builder import virtual_bench
 from meshpoint.testbench.loop.pauses import pauses_of
@@ -178,8 +181,9 @@ def simulate(
             reported = len(monitor.rows.rows)
 
     records, unwritten = Records(record or Path()), list[str]()
+    node = FirmwareRig(rig, NativeBoard(library())) if setup.has_firmware else rig
     bench = virtual_bench(
-        setup, controller, rig if apart is None else Elsewhere(), operator,
+        setup, controller, node if apart is None else Elsewhere(), operator,
         on_frame=take, on_event=on_event, records=None if record is None else records,
         shared=None if apart is None else apart.bus,
     )  # fmt: skip

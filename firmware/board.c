@@ -1,0 +1,73 @@
+#include "board.h"
+
+#include "sensor.h"
+#include "valve.h"
+
+#if !defined IMAGE_SENSOR || !defined IMAGE_VALVE || !(IMAGE_SENSOR || IMAGE_VALVE)
+#error "compile with -DIMAGE_SENSOR=1 or 0 and -DIMAGE_VALVE=1 or 0, not both 0"
+#endif
+
+void board_power_on(void)
+{
+#if IMAGE_VALVE
+    valve_power_on(); /* first of all: whatever was driven is off */
+#endif
+#if IMAGE_SENSOR
+    sensor_power_on();
+#endif
+}
+
+/* What is sent each 10 ms, in the order in which the rig sends it: a bus is alike with either. */
+static void cycle(struct hal_scan scans[HAL_SCANS])
+{
+#if IMAGE_SENSOR
+    sensor_cycle(scans);
+#endif
+#if IMAGE_VALVE
+    valve_cycle();
+#endif
+#if IMAGE_SENSOR
+    sensor_send_sleeves(scans);
+#else
+    (void)scans;
+#endif
+}
+
+/* The watchdog is restarted here and nowhere else: a main loop that is stuck resets the board. */
+void board_poll(void)
+{
+    struct hal_scan scans[HAL_SCANS];
+    hal_watchdog();
+    board_on_time();
+#if IMAGE_SENSOR
+    sensor_collect();
+#endif
+    if (hal_scans(scans)) {
+        cycle(scans);
+    }
+}
+
+void board_on_frame(const struct frame *frame)
+{
+#if IMAGE_VALVE
+    valve_on_frame(frame);
+#else
+    (void)frame;
+#endif
+}
+
+void board_on_time(void)
+{
+#if IMAGE_VALVE
+    hal_lock(); /* the main loop comes here as well as the interrupts */
+    valve_on_time();
+    hal_unlock();
+#endif
+}
+
+void board_on_fault(void)
+{
+#if IMAGE_VALVE
+    valve_on_fault();
+#endif
+}

@@ -1,0 +1,77 @@
+/* The messages of GearboxIo, bit for bit as dbc/meshpoint.dbc has them. */
+#ifndef FRAMES_H
+#define FRAMES_H
+
+#include "hal.h"
+
+enum { EDGE_STAMPS = 27 };
+
+#define ID_EDGES UINT32_C(0x18FF1080) /* of the first channel; the next ones are 0x100 apart */
+#define ID_EDGES_STEP UINT32_C(0x100)
+#define ID_GEARBOX_SENSORS UINT32_C(0x18FF2080)
+#define ID_SLEEVES_MAIN UINT32_C(0x18FF2180)
+#define ID_SLEEVES_AUX UINT32_C(0x18FF2280)
+#define ID_VALVE_STATUS UINT32_C(0x18FF2380)
+#define ID_VALVE_COMMAND UINT32_C(0x0CFF4003)
+#define ID_CLUTCH_COMMAND UINT32_C(0x0CFF4103)
+
+enum {
+    LENGTH_EDGES = 64,
+    LENGTH_GEARBOX_SENSORS = 16,
+    LENGTH_SLEEVES = 48,
+    LENGTH_VALVE_STATUS = 16,
+    LENGTH_VALVE_COMMAND = 48,
+    LENGTH_CLUTCH_COMMAND = 8
+};
+
+/* What an edge frame says. */
+struct edge_read {
+    uint32_t read_us;
+    uint16_t newest_index;
+    uint8_t valid_stamps;
+    bool long_interval;
+    bool stopped;
+    bool sensor_fault;
+    uint16_t stamps_us[EDGE_STAMPS]; /* low 16 bits, newest first */
+};
+
+/* What ValveStatus says; one bit a valve. */
+struct valve_report {
+    uint32_t sample_us;
+    uint16_t energised;
+    uint16_t pending;
+    uint16_t refused_count;
+    uint16_t expired_count;
+};
+
+enum valve_action { OFF_NOW, ON_NOW, OFF_AT, ON_AT };
+
+/* What ValveCommand says of one valve. */
+struct valve_order {
+    enum valve_action action;
+    uint32_t time_us; /* in the sensor clock; of OFF_AT and ON_AT alone */
+};
+
+/* The data ID of each message of ours, from its identifier's group number. */
+uint16_t frames_data_id(uint32_t id);
+
+/* Whether a frame is in the format of a message of ours. */
+bool frames_is(const struct frame *frame, uint32_t id, unsigned length);
+
+/* Whole frames but for their header. */
+void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_read *read);
+void frames_put_gearbox_sensors(struct frame *frame, uint32_t sample_us,
+                                const struct hal_scan *scan);
+/* `first` is the first of the message's two sleeves: 0 in SleevesMain, 2 in SleevesAux. */
+void frames_put_sleeves(struct frame *frame, uint32_t sample_us,
+                        const struct hal_scan scans[HAL_SCANS], unsigned first, uint8_t faults);
+void frames_put_valve_status(struct frame *frame, const struct valve_report *report);
+
+/* Writes the header and sends it; the next frame of this message counts on. */
+void frames_send(struct frame *frame, uint8_t *counter);
+
+void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]);
+/* False where the action is none of the DBC's. */
+bool frames_get_clutch_command(const struct frame *frame, bool *close);
+
+#endif

@@ -1,0 +1,154 @@
+#include "valve.h"
+
+#include "e2e.h"
+#include "outputs.h"
+#include "valves.h"
+
+enum { CLUTCH_EXPIRY_US = 100000, NEVER_SOONER_US = 1000000 };
+
+static struct valves valves;
+static struct e2e_channel valve_channel, clutch_channel;
+static bool is_clutch_closed;
+static uint32_t clutch_expiry_us; /* own time; where it is closed */
+static uint8_t counter;
+
+static void apply(void);
+
+static void set_clutch(bool close)
+{
+    is_clutch_closed = close;
+    hal_close_clutch(close);
+}
+
+/* Nothing is driven, nothing waits, and commands count anew once three good ones have come. */
+static void let_go(void)
+{
+    static const struct e2e_channel UNHEARD;
+    valves_clear(&valves);
+    set_clutch(false);
+    valve_channel = clutch_channel = UNHEARD;
+    apply();
+}
+
+void valve_power_on(void)
+{
+    static const struct valves EMPTY;
+    valves = EMPTY;
+    counter = 0;
+    let_go();
+}
+
+void valve_on_fault(void)
+{
+    let_go();
+}
+
+/* Until when the board may sleep: the earlier end of what commands hold. */
+static uint32_t next_expiry_us(uint32_t own_us)
+{
+    uint32_t wait_us = NEVER_SOONER_US;
+    if (valves.is_held) {
+        wait_us = valves.expiry_us - own_us;
+    }
+    if (is_clutch_closed && clutch_expiry_us - own_us < wait_us) {
+        wait_us = clutch_expiry_us - own_us;
+    }
+    return own_us + wait_us;
+}
+
+/* Brings outputs and timers to what the rules say. */
+static void apply(void)
+{
+    uint32_t sensor_us;
+    outputs_drive(valves_wanted(&valves));
+    if (!valves_next(&valves, &sensor_us)) {
+        sensor_us = hal_sensor_us() + NEVER_SOONER_US;
+    }
+    hal_wake_at_sensor(sensor_us);
+    hal_wake_at_own(next_expiry_us(hal_own_us()));
+}
+
+static void run(void)
+{
+    uint32_t own_us = hal_own_us();
+    e2e_watch(&valve_channel, own_us);
+    e2e_watch(&clutch_channel, own_us);
+    valves_run(&valves, hal_sensor_us(), own_us);
+    if (is_clutch_closed && (int32_t)(own_us - clutch_expiry_us) >= 0) {
+        set_clutch(false);
+    }
+}
+
+void valve_on_time(void)
+{
+    if (hal_is_bus_off()) {
+        let_go();
+        return;
+    }
+    run();
+    apply();
+}
+
+/* Whether a frame of this channel may be acted on; `is_whole` says if its format is right. */
+static bool may_act(struct e2e_channel *channel, const struct frame *frame, bool is_whole)
+{
+    enum e2e_status status = E2E_ERROR;
+    if (is_whole) {
+        status = e2e_check(channel, frame->data, frame->length, frames_data_id(frame->id));
+    }
+    bool close;
+    if (status == E2E_OK && frame->id == ID_CLUTCH_COMMAND &&
+        !frames_get_clutch_command(frame, &close)) {
+        status = E2E_ERROR;
+    }
+    e2e_update(channel, status, hal_own_us());
+    return status == E2E_OK && channel->state == E2E_VALID;
+}
+
+static void command_valves(const struct frame *frame)
+{
+    struct valve_order orders[HAL_VALVES];
+    if (!may_act(&valve_channel, frame,
+                 frames_is(frame, ID_VALVE_COMMAND, LENGTH_VALVE_COMMAND))) {
+        return;
+    }
+    frames_get_valve_command(frame, orders);
+    valves_command(&valves, orders, hal_sensor_us(), hal_own_us());
+}
+
+static void command_clutch(const struct frame *frame)
+{
+    if (!may_act(&clutch_channel, frame,
+                 frames_is(frame, ID_CLUTCH_COMMAND, LENGTH_CLUTCH_COMMAND))) {
+        return;
+    }
+    bool close;
+    frames_get_clutch_command(frame, &close);
+    set_clutch(close);
+    clutch_expiry_us = hal_own_us() + CLUTCH_EXPIRY_US;
+}
+
+void valve_on_frame(const struct frame *frame)
+{
+    if (!frame->is_extended) {
+        return;
+    }
+    run(); /* what was due comes first: a command that has expired is not renewed */
+    if (frame->id == ID_VALVE_COMMAND) {
+        command_valves(frame);
+    } else if (frame->id == ID_CLUTCH_COMMAND) {
+        command_clutch(frame);
+    }
+    apply();
+}
+
+void valve_cycle(void)
+{
+    struct frame frame;
+    hal_lock();
+    struct valve_report report = {hal_sensor_us(), hal_driven(), valves_pending(&valves),
+                                  valves.refused_count, valves.expired_count};
+    hal_unlock();
+    frames_put_valve_status(&frame, &report);
+    frames_send(&frame, &counter);
+}

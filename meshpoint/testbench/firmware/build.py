@@ -1,0 +1,90 @@
+"""Builds the firmware for this machine, with the board of memory in `firmware/native`."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+import meshpoint.firmware
+from meshpoint.kernels.folder import ENTRY, UnusableEntryError, kernel_folders
+from meshpoint.testbench.errors import CommandError
+
+SOURCES: Final = Path(meshpoint.firmware.__file__).parent
+EXTRA: Final = "firmware"
+FLAGS: Final = (
+    "-std=c11", "-O2", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wconversion",
+)  # fmt: skip
+SHARED: Final = ("-shared", "-fPIC")
+BOTH_IMAGES: Final = ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=1")
+FAILED_LINES: Final = 5
+"""Of what the compiler said, as much is shown."""
+
+
+def compiler() -> list[str]:
+    """The C compiler of this machine, or that of the extra. CommandError where there is none."""
+    found = shutil.which("cc")
+    if found is not None:
+        return [found]
+    if find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc"]
+    raise CommandError(
+        "the firmware is built here, and there is no C compiler: neither cc nor ziglang is "
+        f"installed; pip install 'meshpoint[{EXTRA}]'"
+    )
+
+
+def sources(folder: Path = SOURCES) -> list[Path]:
+    """The C files of the board of memory, in a fixed order."""
+    return [*sorted(folder.glob("*.c")), folder / "native" / "native.c"]
+
+
+def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED) -> None:
+    """Compiles the files into `output`. CommandError where that fails, with the first lines of what
+    the compiler said."""
+    command = [*compiler(), *FLAGS, *BOTH_IMAGES, *flags, "-o", str(output), *map(str, files)]
+    try:
+        done = subprocess.run(  # noqa: S603 (a compiler of this machine on files of the package)
+            command, capture_output=True, text=True, check=False
+        )
+    except OSError as error:
+        raise CommandError(f"{command[0]}: cannot be run: {error.strerror or error}") from error
+    if done.returncode:
+        said = "\n".join(done.stderr.splitlines()[:FAILED_LINES])
+        raise CommandError(f"{command[0]}: the firmware was not compiled:\n{said}")
+
+
+def library(folder: Path = SOURCES) -> bytes:
+    """The firmware as a shared library, from the cache of compiled code where it is there.
+
+    folder: the sources. CommandError: it cannot be built."""
+    name = f"firmware-{_digest(folder)}{ENTRY}"
+    for cache in kernel_folders():
+        with suppress(OSError, UnusableEntryError):
+            kept = cache.read(name)
+            if kept is not None:
+                return kept
+    with tempfile.TemporaryDirectory() as made:
+        output = Path(made) / "firmware.so"
+        compiled(sources(folder), output)
+        content = output.read_bytes()
+    for cache in kernel_folders():
+        with suppress(OSError):
+            cache.write(name, content)
+            break
+    return content
+
+
+def _digest(folder: Path) -> str:
+    """Of all that decides what is compiled."""
+    digest = hashlib.sha256(repr([*compiler(), *FLAGS, sys.platform]).encode())
+    for path in sorted(folder.rglob("*.[ch]")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]
