@@ -60,7 +60,7 @@ static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve)
     unsigned is_bad = 0;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
         int16_t *um = &scans[i].sleeve_um[sleeve];
-        is_bad |= scans[i].bad_sleeves >> sleeve & 1U;
+        is_bad |= (unsigned)scans[i].bad_sleeves >> sleeve & 1;
         if (*um < -MOST_SLEEVE_UM || *um > MOST_SLEEVE_UM) {
             *um = *um < 0 ? -MOST_SLEEVE_UM : MOST_SLEEVE_UM;
             is_bad = 1;

@@ -4,7 +4,7 @@
 #include "outputs.h"
 #include "valves.h"
 
-enum { CLUTCH_EXPIRY_US = 100000, NEVER_SOONER_US = 1000000 };
+enum { CLUTCH_EXPIRY_US = 100000, LONGEST_SLEEP_US = 1000000 };
 
 static struct valves valves;
 static struct e2e_channel valve_channel, clutch_channel;
@@ -46,7 +46,7 @@ void valve_on_fault(void)
 /* Until when the board may sleep: the earlier end of what commands hold. */
 static uint32_t next_expiry_us(uint32_t own_us)
 {
-    uint32_t wait_us = NEVER_SOONER_US;
+    uint32_t wait_us = LONGEST_SLEEP_US;
     if (valves.is_held) {
         wait_us = valves.expiry_us - own_us;
     }
@@ -59,12 +59,8 @@ static uint32_t next_expiry_us(uint32_t own_us)
 /* Brings outputs and timers to what the rules say. */
 static void apply(void)
 {
-    uint32_t sensor_us;
     outputs_drive(valves_wanted(&valves));
-    if (!valves_next(&valves, &sensor_us)) {
-        sensor_us = hal_sensor_us() + NEVER_SOONER_US;
-    }
-    hal_wake_at_sensor(sensor_us);
+    hal_wake_at_sensor(valves_next_us(&valves));
     hal_wake_at_own(next_expiry_us(hal_own_us()));
 }
 
@@ -81,12 +77,12 @@ static void run(void)
 
 void valve_on_time(void)
 {
+    run();
     if (hal_is_bus_off()) {
         let_go();
-        return;
+    } else {
+        apply();
     }
-    run();
-    apply();
 }
 
 /* Whether a frame of this channel may be acted on; `is_whole` says if its format is right. */

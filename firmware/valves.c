@@ -1,6 +1,6 @@
 #include "valves.h"
 
-enum { MOST_LATE_US = 2000, MOST_AHEAD_US = 100000, EXPIRY_US = 100000 };
+enum { MOST_LATE_US = 2000, MOST_AHEAD_US = 100000, EXPIRY_US = 100000, LONGEST_WAIT_US = 1000000 };
 
 static bool is_same(const struct activation *a, const struct activation *b)
 {
@@ -99,17 +99,14 @@ uint16_t valves_pending(const struct valves *valves)
     return (uint16_t)pending;
 }
 
-bool valves_next(const struct valves *valves, uint32_t *sensor_us)
+uint32_t valves_next_us(const struct valves *valves)
 {
-    const struct activation *next = 0;
+    int64_t next_us = valves->clock_us + LONGEST_WAIT_US;
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         const struct activation *pending = &valves->slots[i].pending;
-        if (pending->is_set && (next == 0 || pending->at_us < next->at_us)) {
-            next = pending;
+        if (pending->is_set && pending->at_us < next_us) {
+            next_us = pending->at_us;
         }
     }
-    if (next != 0) {
-        *sensor_us = (uint32_t)next->at_us;
-    }
-    return next != 0;
+    return (uint32_t)next_us;
 }

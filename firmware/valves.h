@@ -42,7 +42,8 @@ void valves_clear(struct valves *valves);
 uint16_t valves_wanted(const struct valves *valves);
 uint16_t valves_pending(const struct valves *valves);
 
-/* Whether an activation waits, and when the earliest one is due. */
-bool valves_next(const struct valves *valves, uint32_t *sensor_us);
+/* When the earliest activation is due, in the sensor clock; at most a second from now, which a clock
+ * that has jumped back may make of one that waits. */
+uint32_t valves_next_us(const struct valves *valves);
 
 #endif

@@ -1,0 +1,99 @@
+/* Random and damaged frames, edges, scans and clocks into the board of memory: fuzz COUNT [SEED].
+ * Built with -fsanitize=address,undefined, which ends it at the first fault; ends with 1 where the
+ * two valves of a sleeve were driven together, or anything was 101 ms after the last frame that
+ * can have been a valid command. */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "../e2e.h"
+#include "../frames.h"
+#include "native.h"
+
+enum { OFF_US = 101000 };
+
+static uint32_t state;
+
+static uint32_t any(uint32_t below) /* xorshift */
+{
+    state ^= state << 13;
+    state ^= state >> 17;
+    state ^= state << 5;
+    return state % below;
+}
+
+/* A whole command with the next counter, and times around now. */
+static void make_command(uint8_t *data, uint8_t *counter)
+{
+    for (unsigned i = E2E_HEADER; i < LENGTH_VALVE_COMMAND; i++) {
+        data[i] = (uint8_t)any(256);
+    }
+    for (unsigned i = 0; i < HAL_VALVES; i++) {
+        uint32_t at_us = native.sensor_us + any(110000) - 4000;
+        for (unsigned byte = 0; any(8) != 0 && byte < 4; byte++) {
+            data[6 + 4 * i + byte] = (uint8_t)(at_us >> 8 * byte & 0xFF);
+        }
+    }
+    e2e_protect(data, LENGTH_VALVE_COMMAND, frames_data_id(ID_VALVE_COMMAND), ++*counter);
+}
+
+/* Sends one; whether it may have been a valid command. */
+static bool send(uint8_t *counter)
+{
+    static const uint32_t IDS[] = {ID_VALVE_COMMAND, ID_CLUTCH_COMMAND, ID_VALVE_STATUS};
+    uint8_t data[64];
+    unsigned kind = any(4), length = any(65), id = IDS[any(3)];
+    for (unsigned i = 0; i < sizeof data; i++) {
+        data[i] = (uint8_t)any(256);
+    }
+    if (kind != 0) {
+        id = ID_VALVE_COMMAND;
+        length = LENGTH_VALVE_COMMAND;
+        make_command(data, counter);
+    }
+    if (kind == 1) {
+        data[any(LENGTH_VALVE_COMMAND)] ^= (uint8_t)(1 + any(255));
+    }
+    native_receive(id, data, length, any(20) != 0, any(20) != 0);
+    return kind >= 2;
+}
+
+static void stir(void)
+{
+    uint32_t stamps[40];
+    for (unsigned i = 0; i < 40; i++) {
+        stamps[i] = native.sensor_us - any(any(2) ? 20000 : UINT32_MAX);
+    }
+    native_capture(any(HAL_CHANNELS), stamps, any(41));
+    for (uint8_t *byte = (uint8_t *)native.scans; byte < (uint8_t *)(native.scans + HAL_SCANS);) {
+        *byte++ = (uint8_t)any(256);
+    }
+    native.has_scans = native.bad_wheels = (uint8_t)any(2);
+    native.is_bus_off = any(50) == 0;
+    native.is_stuck = any(200) == 0;
+    native.sent_count = 0;
+    if (any(100) == 0) {
+        native.sensor_us = any(UINT32_MAX);
+    }
+}
+
+int main(int count, char **arguments)
+{
+    uint32_t frames = count > 1 ? (uint32_t)strtoul(arguments[1], NULL, 10) : 10000;
+    uint32_t last_us = 0, driven = 0;
+    uint8_t counter = 0;
+    state = count > 2 ? (uint32_t)strtoul(arguments[2], NULL, 10) : 1;
+    native_power_on();
+    for (uint32_t i = 0; i < frames; i++) {
+        last_us = send(&counter) ? native.own_us : last_us;
+        stir();
+        native_advance(any(any(30) ? 12000 : 150000));
+        driven += native.driven != 0;
+        if (native.coils_together || (native.driven && native.own_us - last_us > OFF_US)) {
+            printf("frame %u: valves %x\n", (unsigned)i, (unsigned)native.driven);
+            return 1;
+        }
+    }
+    printf("%u frames, something was driven after %u of them, %u resets\n", (unsigned)frames,
+           (unsigned)driven, (unsigned)native.resets);
+    return 0;
+}

@@ -1,0 +1,35 @@
+"""The firmware, built once for this machine; skipped with the reason where it cannot be built."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from firmware_bench import CommandBench
+
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.firmware.build import SOURCES, compiler, library
+from meshpoint.testbench.firmware.native_board import NativeBoard
+
+
+@pytest.fixture(scope="session")
+def built() -> bytes:
+    """The shared library; of other sources where run_mutants.py says so."""
+    try:
+        compiler()
+    except CommandError as error:
+        pytest.skip(str(error))
+    return library(Path(os.environ.get("MESHPOINT_FIRMWARE_SOURCES", SOURCES)))
+
+
+@pytest.fixture
+def board(built: bytes) -> NativeBoard:
+    return NativeBoard(built)
+
+
+@pytest.fixture
+def bench(board: NativeBoard) -> CommandBench:
+    return CommandBench(board)
