@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants digests demo docs test installed wheel acceptance kernels vcan silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants digests demo docs test installed wheel acceptance kernels vcan silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -124,6 +124,10 @@ digests: $(VENV)/test.stamp
 # see tests/mutation/run_mutants.py.
 mutants: $(VENV)/test.stamp
 	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
+
+# The same for the firmware's slots, expiry and output stage, compiled anew each time.
+firmware-mutants: $(VENV)/test.stamp
+	$(BIN)/python tests/firmware/run_mutants.py $(ARGS)
 
 test-containers:
 	tools/test-containers

@@ -7,8 +7,7 @@
 #error "compile with -DIMAGE_SENSOR=1 or 0 and -DIMAGE_VALVE=1 or 0, not both 0"
 #endif
 
-void board_power_on(void)
-{
+void board_power_on(void) {
 #if IMAGE_VALVE
     valve_power_on(); /* first of all: whatever was driven is off */
 #endif
@@ -18,8 +17,7 @@ void board_power_on(void)
 }
 
 /* What is sent each 10 ms, in the order in which the rig sends it: a bus is alike with either. */
-static void cycle(struct hal_scan scans[HAL_SCANS])
-{
+static void cycle(struct hal_scan scans[HAL_SCANS]) {
 #if IMAGE_SENSOR
     sensor_cycle(scans);
 #endif
@@ -34,8 +32,7 @@ static void cycle(struct hal_scan scans[HAL_SCANS])
 }
 
 /* The watchdog is restarted here and nowhere else: a main loop that is stuck resets the board. */
-void board_poll(void)
-{
+void board_poll(void) {
     struct hal_scan scans[HAL_SCANS];
     hal_watchdog();
     board_on_time();
@@ -47,8 +44,7 @@ void board_poll(void)
     }
 }
 
-void board_on_frame(const struct frame *frame)
-{
+void board_on_frame(const struct frame *frame) {
 #if IMAGE_VALVE
     valve_on_frame(frame);
 #else
@@ -56,8 +52,7 @@ void board_on_frame(const struct frame *frame)
 #endif
 }
 
-void board_on_time(void)
-{
+void board_on_time(void) {
 #if IMAGE_VALVE
     hal_lock(); /* the main loop comes here as well as the interrupts */
     valve_on_time();
@@ -65,8 +60,7 @@ void board_on_time(void)
 #endif
 }
 
-void board_on_fault(void)
-{
+void board_on_fault(void) {
 #if IMAGE_VALVE
     valve_on_fault();
 #endif

@@ -19,8 +19,7 @@ static const uint8_t NEXT[4][4] = {
 };
 
 /* CRC-16/CCITT-FALSE (polynomial 0x1021), half a byte at a time. */
-static uint16_t crc_on(uint16_t crc, uint8_t byte)
-{
+static uint16_t crc_on(uint16_t crc, uint8_t byte) {
     static const uint16_t TABLE[16] = {
         0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50A5, 0x60C6, 0x70E7,
         0x8108, 0x9129, 0xA14A, 0xB16B, 0xC18C, 0xD1AD, 0xE1CE, 0xF1EF,
@@ -30,8 +29,7 @@ static uint16_t crc_on(uint16_t crc, uint8_t byte)
 }
 
 /* Over everything behind the CRC itself, then the data ID, low byte first. */
-static uint16_t crc_of(const uint8_t *data, unsigned length, uint16_t data_id)
-{
+static uint16_t crc_of(const uint8_t *data, unsigned length, uint16_t data_id) {
     uint16_t crc = 0xFFFF;
     for (unsigned i = 2; i < length; i++) {
         crc = crc_on(crc, data[i]);
@@ -40,8 +38,7 @@ static uint16_t crc_of(const uint8_t *data, unsigned length, uint16_t data_id)
     return crc_on(crc, (uint8_t)(data_id >> 8));
 }
 
-void e2e_protect(uint8_t *data, unsigned length, uint16_t data_id, uint8_t counter)
-{
+void e2e_protect(uint8_t *data, unsigned length, uint16_t data_id, uint8_t counter) {
     data[2] = counter;
     uint16_t crc = crc_of(data, length, data_id);
     data[0] = (uint8_t)(crc & 0xFF);
@@ -49,8 +46,7 @@ void e2e_protect(uint8_t *data, unsigned length, uint16_t data_id, uint8_t count
 }
 
 enum e2e_status e2e_check(struct e2e_channel *channel, const uint8_t *data, unsigned length,
-                          uint16_t data_id)
-{
+                          uint16_t data_id) {
     if (crc_of(data, length, data_id) != (data[0] | data[1] << 8)) {
         return E2E_ERROR;
     }
@@ -60,17 +56,13 @@ enum e2e_status e2e_check(struct e2e_channel *channel, const uint8_t *data, unsi
      * wrong once. */
     channel->counter = data[2];
     channel->has_counter = true;
-    if (is_first) {
+    if (is_first || (delta > 0 && delta <= MOST_DELTA)) {
         return E2E_OK;
     }
-    if (delta == 0) {
-        return E2E_REPEATED;
-    }
-    return delta <= MOST_DELTA ? E2E_OK : E2E_WRONG_SEQUENCE;
+    return delta == 0 ? E2E_REPEATED : E2E_WRONG_SEQUENCE;
 }
 
-static unsigned ones(uint16_t bits)
-{
+static unsigned ones(uint16_t bits) {
     unsigned count = 0;
     for (; bits != 0; bits &= (uint16_t)(bits - 1)) {
         count++;
@@ -78,8 +70,7 @@ static unsigned ones(uint16_t bits)
     return count;
 }
 
-static enum finding find(struct e2e_channel *channel, enum e2e_status status)
-{
+static enum finding find(struct e2e_channel *channel, enum e2e_status status) {
     /* Garbage before anything was ever readable tells nothing of a sender. */
     if (status == E2E_NO_NEW_DATA || (status == E2E_ERROR && channel->state == E2E_NO_DATA)) {
         return SILENT;
@@ -93,8 +84,7 @@ static enum finding find(struct e2e_channel *channel, enum e2e_status status)
     return ones(channel->oks) >= needed ? ENOUGH : FEW;
 }
 
-void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us)
-{
+void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us) {
     enum finding finding = find(channel, status);
     enum e2e_state next = NEXT[channel->state][finding];
     if (finding == SILENT || (next == E2E_INVALID && channel->state != E2E_INVALID)) {
@@ -107,8 +97,7 @@ void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t ow
     }
 }
 
-void e2e_watch(struct e2e_channel *channel, uint32_t own_us)
-{
+void e2e_watch(struct e2e_channel *channel, uint32_t own_us) {
     if (channel->is_heard && own_us - channel->heard_us >= SILENCE_US) {
         channel->is_heard = false;
         e2e_update(channel, E2E_NO_NEW_DATA, own_us);

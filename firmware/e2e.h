@@ -32,7 +32,7 @@ enum e2e_status e2e_check(struct e2e_channel *channel, const uint8_t *data, unsi
 /* Moves the channel on by what was found of a frame. */
 void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us);
 
-/* Takes note of silence: 50 ms without a good frame. Called each millisecond, and before a frame. */
+/* Takes note of 50 ms without a good frame. Called each millisecond, and before a frame. */
 void e2e_watch(struct e2e_channel *channel, uint32_t own_us);
 
 #endif

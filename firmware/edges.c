@@ -2,8 +2,7 @@
 
 enum { LONG_US = 0xFFFF }; /* the longest interval that 16 bits tell */
 
-void edges_power_on(struct edge_channel *channel, uint32_t now_us)
-{
+void edges_power_on(struct edge_channel *channel, uint32_t now_us) {
     for (unsigned i = 0; i < EDGE_STAMPS; i++) {
         channel->low_us[i] = 0;
     }
@@ -14,15 +13,13 @@ void edges_power_on(struct edge_channel *channel, uint32_t now_us)
     channel->is_idle = false;
 }
 
-void edges_watch(struct edge_channel *channel, uint32_t now_us)
-{
+void edges_watch(struct edge_channel *channel, uint32_t now_us) {
     if (now_us - channel->newest_us > LONG_US) {
         channel->is_idle = true;
     }
 }
 
-void edges_capture(struct edge_channel *channel, uint32_t stamp_us)
-{
+void edges_capture(struct edge_channel *channel, uint32_t stamp_us) {
     edges_watch(channel, stamp_us);
     channel->long_gaps = channel->long_gaps << 1 | channel->is_idle;
     channel->is_idle = false;
@@ -35,8 +32,7 @@ void edges_capture(struct edge_channel *channel, uint32_t stamp_us)
     }
 }
 
-void edges_read(struct edge_channel *channel, uint32_t now_us, struct edge_read *read)
-{
+void edges_read(struct edge_channel *channel, uint32_t now_us, struct edge_read *read) {
     edges_watch(channel, now_us);
     /* Between n edges are n - 1 intervals; the one before the oldest edge is not in the array. */
     uint32_t inside = channel->valid == 0 ? 0 : (UINT32_C(1) << (channel->valid - 1)) - 1;

@@ -4,37 +4,31 @@
 
 enum { AT_TIME = 3, AT_CONTENT = 7 };
 
-static void put16(uint8_t *to, uint16_t value)
-{
+static void put16(uint8_t *to, uint16_t value) {
     to[0] = (uint8_t)(value & 0xFF);
     to[1] = (uint8_t)(value >> 8);
 }
 
-static void put32(uint8_t *to, uint32_t value)
-{
+static void put32(uint8_t *to, uint32_t value) {
     put16(to, (uint16_t)(value & 0xFFFF));
     put16(to + 2, (uint16_t)(value >> 16));
 }
 
-static uint32_t get32(const uint8_t *from)
-{
+static uint32_t get32(const uint8_t *from) {
     return (uint32_t)from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 |
            (uint32_t)from[3] << 24;
 }
 
-uint16_t frames_data_id(uint32_t id)
-{
+uint16_t frames_data_id(uint32_t id) {
     return (uint16_t)(0x4D00 | (id >> 8 & 0xFF));
 }
 
-bool frames_is(const struct frame *frame, uint32_t id, unsigned length)
-{
+bool frames_is(const struct frame *frame, uint32_t id, unsigned length) {
     return frame->is_extended && frame->is_fd && frame->id == id && frame->length == length;
 }
 
 /* An empty frame with its time, which all messages of ours have in the same place. */
-static void begin(struct frame *frame, uint32_t id, uint8_t length, uint32_t time_us)
-{
+static void begin(struct frame *frame, uint32_t id, uint8_t length, uint32_t time_us) {
     frame->id = id;
     frame->length = length;
     frame->is_extended = frame->is_fd = true;
@@ -44,8 +38,7 @@ static void begin(struct frame *frame, uint32_t id, uint8_t length, uint32_t tim
     put32(frame->data + AT_TIME, time_us);
 }
 
-void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_read *read)
-{
+void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_read *read) {
     begin(frame, ID_EDGES + channel * ID_EDGES_STEP, LENGTH_EDGES, read->read_us);
     put16(frame->data + AT_CONTENT, read->newest_index);
     frame->data[9] = (uint8_t)(read->valid_stamps | read->long_interval << 5 | read->stopped << 6 |
@@ -56,14 +49,12 @@ void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_r
 }
 
 /* A receiver refuses a frame with a value outside the DBC's range: what is beyond is at its end. */
-static uint16_t within(uint16_t value, uint16_t least, uint16_t most)
-{
+static uint16_t within(uint16_t value, uint16_t least, uint16_t most) {
     return value < least ? least : value > most ? most : value;
 }
 
 void frames_put_gearbox_sensors(struct frame *frame, uint32_t sample_us,
-                                const struct hal_scan *scan)
-{
+                                const struct hal_scan *scan) {
     begin(frame, ID_GEARBOX_SENSORS, LENGTH_GEARBOX_SENSORS, sample_us);
     put16(frame->data + AT_CONTENT, scan->brake_20pa);
     put16(frame->data + 9, scan->supply_20pa);
@@ -72,8 +63,7 @@ void frames_put_gearbox_sensors(struct frame *frame, uint32_t sample_us,
 }
 
 void frames_put_sleeves(struct frame *frame, uint32_t sample_us,
-                        const struct hal_scan scans[HAL_SCANS], unsigned first, uint8_t faults)
-{
+                        const struct hal_scan scans[HAL_SCANS], unsigned first, uint8_t faults) {
     begin(frame, first == 0 ? ID_SLEEVES_MAIN : ID_SLEEVES_AUX, LENGTH_SLEEVES, sample_us);
     frame->data[AT_CONTENT] = faults;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
@@ -82,8 +72,7 @@ void frames_put_sleeves(struct frame *frame, uint32_t sample_us,
     }
 }
 
-void frames_put_valve_status(struct frame *frame, const struct valve_report *report)
-{
+void frames_put_valve_status(struct frame *frame, const struct valve_report *report) {
     begin(frame, ID_VALVE_STATUS, LENGTH_VALVE_STATUS, report->sample_us);
     put16(frame->data + AT_CONTENT, report->energised);
     put16(frame->data + 9, report->pending);
@@ -91,15 +80,13 @@ void frames_put_valve_status(struct frame *frame, const struct valve_report *rep
     put16(frame->data + 13, report->expired_count);
 }
 
-void frames_send(struct frame *frame, uint8_t *counter)
-{
+void frames_send(struct frame *frame, uint8_t *counter) {
     e2e_protect(frame->data, frame->length, frames_data_id(frame->id), *counter);
     *counter = (uint8_t)(*counter + 1);
     hal_send(frame);
 }
 
-void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES])
-{
+void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]) {
     uint32_t actions = get32(frame->data + E2E_HEADER);
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         orders[i].action = (enum valve_action)(actions >> 2 * i & 3);
@@ -107,8 +94,7 @@ void frames_get_valve_command(const struct frame *frame, struct valve_order orde
     }
 }
 
-bool frames_get_clutch_command(const struct frame *frame, bool *close)
-{
+bool frames_get_clutch_command(const struct frame *frame, bool *close) {
     *close = frame->data[E2E_HEADER] == 1;
     return frame->data[E2E_HEADER] <= 1;
 }

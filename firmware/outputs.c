@@ -6,8 +6,7 @@
  * RangeHigh: the lower bit of each pair. Bit 0, the brake, stands alone. */
 enum { ALL = (1 << HAL_VALVES) - 1, LOWER_OF_PAIR = 0xAA };
 
-void outputs_drive(uint16_t wanted)
-{
+void outputs_drive(uint16_t wanted) {
     unsigned both = wanted & wanted >> 1 & LOWER_OF_PAIR;
     unsigned allowed = wanted & ALL & ~(both | both << 1);
     unsigned before = hal_driven();

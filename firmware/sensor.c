@@ -11,8 +11,7 @@ static uint16_t collected[HAL_CHANNELS]; /* edges since the last cycle */
 static uint32_t read_us;                 /* of the present cycle */
 static uint8_t counters[MESSAGES];
 
-void sensor_power_on(void)
-{
+void sensor_power_on(void) {
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         edges_power_on(&channels[i], hal_sensor_us());
         collected[i] = 0;
@@ -22,8 +21,7 @@ void sensor_power_on(void)
     }
 }
 
-static void collect_to(uint32_t now_us)
-{
+static void collect_to(uint32_t now_us) {
     uint32_t stamp_us;
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         /* Noise may come faster than it is taken: what is too much waits, and the rest goes on. */
@@ -35,14 +33,12 @@ static void collect_to(uint32_t now_us)
     }
 }
 
-void sensor_collect(void)
-{
+void sensor_collect(void) {
     collect_to(hal_sensor_us());
 }
 
 /* A wheel that has no good signal says so, and the others go on. */
-static void send_edges(void)
-{
+static void send_edges(void) {
     struct frame frame;
     struct edge_read read;
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
@@ -55,8 +51,7 @@ static void send_edges(void)
 }
 
 /* Brings one sleeve's samples into range; 1 where one of them is of no use. */
-static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve)
-{
+static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve) {
     unsigned is_bad = 0;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
         int16_t *um = &scans[i].sleeve_um[sleeve];
@@ -69,8 +64,7 @@ static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve)
     return is_bad;
 }
 
-void sensor_cycle(const struct hal_scan scans[HAL_SCANS])
-{
+void sensor_cycle(const struct hal_scan scans[HAL_SCANS]) {
     struct frame frame;
     read_us = hal_sensor_us(); /* all wheels are read at the same microsecond */
     collect_to(read_us);
@@ -79,8 +73,7 @@ void sensor_cycle(const struct hal_scan scans[HAL_SCANS])
     frames_send(&frame, &counters[HAL_CHANNELS]);
 }
 
-void sensor_send_sleeves(struct hal_scan scans[HAL_SCANS])
-{
+void sensor_send_sleeves(struct hal_scan scans[HAL_SCANS]) {
     struct frame frame;
     for (unsigned first = 0; first < HAL_SLEEVES; first += 2) {
         unsigned faults = judge_sleeve(scans, first) | judge_sleeve(scans, first + 1) << 1;

@@ -12,44 +12,14 @@ static bool is_clutch_closed;
 static uint32_t clutch_expiry_us; /* own time; where it is closed */
 static uint8_t counter;
 
-static void apply(void);
-
-static void set_clutch(bool close)
-{
+static void set_clutch(bool close) {
     is_clutch_closed = close;
     hal_close_clutch(close);
 }
 
-/* Nothing is driven, nothing waits, and commands count anew once three good ones have come. */
-static void let_go(void)
-{
-    static const struct e2e_channel UNHEARD;
-    valves_clear(&valves);
-    set_clutch(false);
-    valve_channel = clutch_channel = UNHEARD;
-    apply();
-}
-
-void valve_power_on(void)
-{
-    static const struct valves EMPTY;
-    valves = EMPTY;
-    counter = 0;
-    let_go();
-}
-
-void valve_on_fault(void)
-{
-    let_go();
-}
-
 /* Until when the board may sleep: the earlier end of what commands hold. */
-static uint32_t next_expiry_us(uint32_t own_us)
-{
-    uint32_t wait_us = LONGEST_SLEEP_US;
-    if (valves.is_held) {
-        wait_us = valves.expiry_us - own_us;
-    }
+static uint32_t next_expiry_us(uint32_t own_us) {
+    uint32_t wait_us = valves.is_held ? valves.expiry_us - own_us : LONGEST_SLEEP_US;
     if (is_clutch_closed && clutch_expiry_us - own_us < wait_us) {
         wait_us = clutch_expiry_us - own_us;
     }
@@ -57,15 +27,33 @@ static uint32_t next_expiry_us(uint32_t own_us)
 }
 
 /* Brings outputs and timers to what the rules say. */
-static void apply(void)
-{
+static void apply(void) {
     outputs_drive(valves_wanted(&valves));
     hal_wake_at_sensor(valves_next_us(&valves));
     hal_wake_at_own(next_expiry_us(hal_own_us()));
 }
 
-static void run(void)
-{
+/* Nothing is driven, nothing waits, and commands count anew once three good ones have come. */
+static void let_go(void) {
+    static const struct e2e_channel UNHEARD;
+    valves_clear(&valves);
+    set_clutch(false);
+    valve_channel = clutch_channel = UNHEARD;
+    apply();
+}
+
+void valve_power_on(void) {
+    static const struct valves EMPTY;
+    valves = EMPTY;
+    counter = 0;
+    let_go();
+}
+
+void valve_on_fault(void) {
+    let_go();
+}
+
+static void run(void) {
     uint32_t own_us = hal_own_us();
     e2e_watch(&valve_channel, own_us);
     e2e_watch(&clutch_channel, own_us);
@@ -75,8 +63,7 @@ static void run(void)
     }
 }
 
-void valve_on_time(void)
-{
+void valve_on_time(void) {
     run();
     if (hal_is_bus_off()) {
         let_go();
@@ -86,8 +73,7 @@ void valve_on_time(void)
 }
 
 /* Whether a frame of this channel may be acted on; `is_whole` says if its format is right. */
-static bool may_act(struct e2e_channel *channel, const struct frame *frame, bool is_whole)
-{
+static bool may_act(struct e2e_channel *channel, const struct frame *frame, bool is_whole) {
     enum e2e_status status = E2E_ERROR;
     if (is_whole) {
         status = e2e_check(channel, frame->data, frame->length, frames_data_id(frame->id));
@@ -101,8 +87,7 @@ static bool may_act(struct e2e_channel *channel, const struct frame *frame, bool
     return status == E2E_OK && channel->state == E2E_VALID;
 }
 
-static void command_valves(const struct frame *frame)
-{
+static void command_valves(const struct frame *frame) {
     struct valve_order orders[HAL_VALVES];
     if (!may_act(&valve_channel, frame,
                  frames_is(frame, ID_VALVE_COMMAND, LENGTH_VALVE_COMMAND))) {
@@ -112,8 +97,7 @@ static void command_valves(const struct frame *frame)
     valves_command(&valves, orders, hal_sensor_us(), hal_own_us());
 }
 
-static void command_clutch(const struct frame *frame)
-{
+static void command_clutch(const struct frame *frame) {
     if (!may_act(&clutch_channel, frame,
                  frames_is(frame, ID_CLUTCH_COMMAND, LENGTH_CLUTCH_COMMAND))) {
         return;
@@ -124,8 +108,7 @@ static void command_clutch(const struct frame *frame)
     clutch_expiry_us = hal_own_us() + CLUTCH_EXPIRY_US;
 }
 
-void valve_on_frame(const struct frame *frame)
-{
+void valve_on_frame(const struct frame *frame) {
     if (!frame->is_extended) {
         return;
     }
@@ -138,8 +121,7 @@ void valve_on_frame(const struct frame *frame)
     apply();
 }
 
-void valve_cycle(void)
-{
+void valve_cycle(void) {
     struct frame frame;
     hal_lock();
     struct valve_report report = {hal_sensor_us(), hal_driven(), valves_pending(&valves),

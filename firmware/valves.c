@@ -2,14 +2,12 @@
 
 enum { MOST_LATE_US = 2000, MOST_AHEAD_US = 100000, EXPIRY_US = 100000, LONGEST_WAIT_US = 1000000 };
 
-static bool is_same(const struct activation *a, const struct activation *b)
-{
+static bool is_same(const struct activation *a, const struct activation *b) {
     return a->is_set && a->on == b->on && a->at_us == b->at_us;
 }
 
 /* Takes an order; whether it is refused now. */
-static bool take(struct valve_slot *slot, const struct valve_order *order, int64_t now_us)
-{
+static bool take(struct valve_slot *slot, const struct valve_order *order, int64_t now_us) {
     if (order->action == OFF_NOW || order->action == ON_NOW) {
         slot->pending.is_set = false;
         slot->is_on = order->action == ON_NOW;
@@ -32,8 +30,7 @@ static bool take(struct valve_slot *slot, const struct valve_order *order, int64
     return false;
 }
 
-static void activate(struct valve_slot *slot, int64_t now_us)
-{
+static void activate(struct valve_slot *slot, int64_t now_us) {
     if (slot->pending.is_set && slot->pending.at_us <= now_us) {
         slot->is_on = slot->pending.on;
         slot->passed = slot->pending;
@@ -42,14 +39,12 @@ static void activate(struct valve_slot *slot, int64_t now_us)
 }
 
 /* The sensor clock as it goes on: a step of it goes back at most half of its range. */
-static void unwrap(struct valves *valves, uint32_t sensor_us)
-{
+static void unwrap(struct valves *valves, uint32_t sensor_us) {
     valves->clock_us += (int32_t)(sensor_us - (uint32_t)valves->clock_us);
 }
 
 void valves_command(struct valves *valves, const struct valve_order orders[HAL_VALVES],
-                    uint32_t sensor_us, uint32_t own_us)
-{
+                    uint32_t sensor_us, uint32_t own_us) {
     valves_run(valves, sensor_us, own_us);
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         if (take(&valves->slots[i], &orders[i], valves->clock_us)) {
@@ -61,8 +56,7 @@ void valves_command(struct valves *valves, const struct valve_order orders[HAL_V
     valves_run(valves, sensor_us, own_us);
 }
 
-void valves_run(struct valves *valves, uint32_t sensor_us, uint32_t own_us)
-{
+void valves_run(struct valves *valves, uint32_t sensor_us, uint32_t own_us) {
     unwrap(valves, sensor_us);
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         activate(&valves->slots[i], valves->clock_us);
@@ -73,16 +67,14 @@ void valves_run(struct valves *valves, uint32_t sensor_us, uint32_t own_us)
     }
 }
 
-void valves_clear(struct valves *valves)
-{
+void valves_clear(struct valves *valves) {
     valves->is_held = false;
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         valves->slots[i].is_on = valves->slots[i].pending.is_set = false;
     }
 }
 
-uint16_t valves_wanted(const struct valves *valves)
-{
+uint16_t valves_wanted(const struct valves *valves) {
     unsigned wanted = 0;
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         wanted |= (unsigned)valves->slots[i].is_on << i;
@@ -90,8 +82,7 @@ uint16_t valves_wanted(const struct valves *valves)
     return (uint16_t)wanted;
 }
 
-uint16_t valves_pending(const struct valves *valves)
-{
+uint16_t valves_pending(const struct valves *valves) {
     unsigned pending = 0;
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         pending |= (unsigned)valves->slots[i].pending.is_set << i;
@@ -99,8 +90,7 @@ uint16_t valves_pending(const struct valves *valves)
     return (uint16_t)pending;
 }
 
-uint32_t valves_next_us(const struct valves *valves)
-{
+uint32_t valves_next_us(const struct valves *valves) {
     int64_t next_us = valves->clock_us + LONGEST_WAIT_US;
     for (unsigned i = 0; i < HAL_VALVES; i++) {
         const struct activation *pending = &valves->slots[i].pending;

@@ -42,8 +42,8 @@ void valves_clear(struct valves *valves);
 uint16_t valves_wanted(const struct valves *valves);
 uint16_t valves_pending(const struct valves *valves);
 
-/* When the earliest activation is due, in the sensor clock; at most a second from now, which a clock
- * that has jumped back may make of one that waits. */
+/* When the earliest activation is due, in the sensor clock; at most a second from now, for a clock
+ * that has jumped back may have one wait for longer than 32 bits can tell. */
 uint32_t valves_next_us(const struct valves *valves);
 
 #endif

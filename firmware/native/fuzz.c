@@ -22,8 +22,7 @@ static uint32_t any(uint32_t below) /* xorshift */
 }
 
 /* A whole command with the next counter, and times around now. */
-static void make_command(uint8_t *data, uint8_t *counter)
-{
+static void make_command(uint8_t *data, uint8_t *counter) {
     for (unsigned i = E2E_HEADER; i < LENGTH_VALVE_COMMAND; i++) {
         data[i] = (uint8_t)any(256);
     }
@@ -37,8 +36,7 @@ static void make_command(uint8_t *data, uint8_t *counter)
 }
 
 /* Sends one; whether it may have been a valid command. */
-static bool send(uint8_t *counter)
-{
+static bool send(uint8_t *counter) {
     static const uint32_t IDS[] = {ID_VALVE_COMMAND, ID_CLUTCH_COMMAND, ID_VALVE_STATUS};
     uint8_t data[64];
     unsigned kind = any(4), length = any(65), id = IDS[any(3)];
@@ -57,8 +55,7 @@ static bool send(uint8_t *counter)
     return kind >= 2;
 }
 
-static void stir(void)
-{
+static void stir(void) {
     uint32_t stamps[40];
     for (unsigned i = 0; i < 40; i++) {
         stamps[i] = native.sensor_us - any(any(2) ? 20000 : UINT32_MAX);
@@ -76,8 +73,7 @@ static void stir(void)
     }
 }
 
-int main(int count, char **arguments)
-{
+int main(int count, char **arguments) {
     uint32_t frames = count > 1 ? (uint32_t)strtoul(arguments[1], NULL, 10) : 10000;
     uint32_t last_us = 0, driven = 0;
     uint8_t counter = 0;

@@ -4,18 +4,15 @@ enum { POLL_US = 1000 };
 
 struct native native;
 
-uint32_t hal_sensor_us(void)
-{
+uint32_t hal_sensor_us(void) {
     return native.sensor_us;
 }
 
-uint32_t hal_own_us(void)
-{
+uint32_t hal_own_us(void) {
     return native.own_us;
 }
 
-bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us)
-{
+bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
     uint32_t *out = &native.edges_out[channel];
     if (*out == native.edges_in[channel]) {
         return false;
@@ -28,13 +25,11 @@ bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us)
     return true;
 }
 
-bool hal_wheel_is_bad(unsigned wheel)
-{
+bool hal_wheel_is_bad(unsigned wheel) {
     return (native.bad_wheels >> wheel & 1) != 0;
 }
 
-bool hal_scans(struct hal_scan scans[HAL_SCANS])
-{
+bool hal_scans(struct hal_scan scans[HAL_SCANS]) {
     bool is_new = native.has_scans != 0;
     native.has_scans = 0;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
@@ -43,20 +38,17 @@ bool hal_scans(struct hal_scan scans[HAL_SCANS])
     return is_new;
 }
 
-void hal_send(const struct frame *frame)
-{
+void hal_send(const struct frame *frame) {
     if (native.sent_count < NATIVE_SENT) {
         native.sent[native.sent_count++] = *frame;
     }
 }
 
-bool hal_is_bus_off(void)
-{
+bool hal_is_bus_off(void) {
     return native.is_bus_off != 0;
 }
 
-void hal_drive(uint16_t valves)
-{
+void hal_drive(uint16_t valves) {
     struct native_change change = {native.own_us, valves};
     if (valves != native.driven) {
         native.changes[native.change_count++ % NATIVE_CHANGES] = change;
@@ -65,45 +57,37 @@ void hal_drive(uint16_t valves)
     native.coils_together += (valves & valves >> 1 & 0xAA) != 0;
 }
 
-uint16_t hal_driven(void)
-{
+uint16_t hal_driven(void) {
     return native.driven;
 }
 
-void hal_close_clutch(bool close)
-{
+void hal_close_clutch(bool close) {
     native.is_clutch_closed = close;
     native.clutch_orders++;
 }
 
-void hal_wake_at_sensor(uint32_t sensor_us)
-{
+void hal_wake_at_sensor(uint32_t sensor_us) {
     native.wake_sensor_us = sensor_us;
     native.is_wake_sensor_set = 1;
 }
 
-void hal_wake_at_own(uint32_t own_us)
-{
+void hal_wake_at_own(uint32_t own_us) {
     native.wake_own_us = own_us;
     native.is_wake_own_set = 1;
 }
 
-void hal_watchdog(void)
-{
+void hal_watchdog(void) {
     native.watchdog_us = native.own_us + HAL_WATCHDOG_US;
 }
 
 /* There is nothing here that could come between. */
-void hal_lock(void)
-{
+void hal_lock(void) {
 }
 
-void hal_unlock(void)
-{
+void hal_unlock(void) {
 }
 
-void native_power_on(void)
-{
+void native_power_on(void) {
     hal_drive(0); /* outputs are off while a board is in reset */
     native.is_stuck = native.is_deaf = 0;
     native.poll_us = native.own_us + POLL_US;
@@ -113,19 +97,16 @@ void native_power_on(void)
 }
 
 /* How long until a time of a clock, nothing where it has passed. */
-static uint32_t wait_us(uint32_t at_us, uint32_t now_us)
-{
+static uint32_t wait_us(uint32_t at_us, uint32_t now_us) {
     int32_t wait = (int32_t)(at_us - now_us);
     return wait < 0 ? 0 : (uint32_t)wait;
 }
 
-static uint32_t least(uint32_t a, uint32_t b)
-{
+static uint32_t least(uint32_t a, uint32_t b) {
     return a < b ? a : b;
 }
 
-static uint32_t next_us(void)
-{
+static uint32_t next_us(void) {
     uint32_t next = wait_us(native.watchdog_us, native.own_us);
     if (!native.is_stuck) {
         next = least(next, wait_us(native.poll_us, native.own_us));
@@ -139,16 +120,14 @@ static uint32_t next_us(void)
     return next;
 }
 
-static void wake(uint8_t *is_set, uint32_t at_us, uint32_t now_us)
-{
+static void wake(uint8_t *is_set, uint32_t at_us, uint32_t now_us) {
     if (*is_set && !native.is_deaf && wait_us(at_us, now_us) == 0) {
         *is_set = 0;
         board_on_time();
     }
 }
 
-static void fire(void)
-{
+static void fire(void) {
     wake(&native.is_wake_sensor_set, native.wake_sensor_us, native.sensor_us);
     wake(&native.is_wake_own_set, native.wake_own_us, native.own_us);
     if (!native.is_stuck && wait_us(native.poll_us, native.own_us) == 0) {
@@ -161,8 +140,7 @@ static void fire(void)
     }
 }
 
-void native_advance(uint32_t us)
-{
+void native_advance(uint32_t us) {
     for (uint32_t next = next_us(); next <= us; next = next_us()) {
         native.sensor_us += next;
         native.own_us += next;
@@ -174,8 +152,7 @@ void native_advance(uint32_t us)
 }
 
 /* Edges that the capture memory has no room for are lost, and the wheel says so. */
-void native_capture(unsigned channel, const uint32_t *stamps_us, unsigned count)
-{
+void native_capture(unsigned channel, const uint32_t *stamps_us, unsigned count) {
     for (unsigned i = 0; i < count; i++) {
         if (native.edges_in[channel] - native.edges_out[channel] == NATIVE_EDGES) {
             native.bad_wheels = (uint8_t)(native.bad_wheels | 1U << channel / 2);
@@ -186,8 +163,7 @@ void native_capture(unsigned channel, const uint32_t *stamps_us, unsigned count)
 }
 
 void native_receive(uint32_t id, const uint8_t *data, unsigned length, unsigned is_extended,
-                    unsigned is_fd)
-{
+                    unsigned is_fd) {
     struct frame frame = {.id = id, .length = (uint8_t)length,
                           .is_extended = is_extended != 0, .is_fd = is_fd != 0};
     for (unsigned i = 0; i < length && i < sizeof frame.data; i++) {

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from firmware_bench import CommandBench
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import SOURCES, compiler, library
+from meshpoint.testbench.firmware.build import compiler, library, source_folder
 from meshpoint.testbench.firmware.native_board import NativeBoard
 
 
@@ -22,7 +22,7 @@ def built() -> bytes:
         compiler()
     except CommandError as error:
         pytest.skip(str(error))
-    return library(Path(os.environ.get("MESHPOINT_FIRMWARE_SOURCES", SOURCES)))
+    return library(Path(os.environ.get("MESHPOINT_FIRMWARE_SOURCES", source_folder())))
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Small mistakes in the slots, the expiry and the output stage, one at a time: does a test catch each?
+"""Small mistakes in slots, expiry and output stage, one at a time: does a test catch each?
 
     python tests/firmware/run_mutants.py [FILE ...]     of firmware/: valves.c outputs.c
 
@@ -28,7 +28,9 @@ SWAPS = {
     "<<": (">>",), ">>": ("<<",),
 }  # fmt: skip
 TOKEN = re.compile(r"->|<<|>>|<=|>=|==|!=|&&|\|\||\+\+|\+=|[<>&|+~!-]|\btrue\b|\bfalse\b|\b\d\w*\b")
-STATEMENT = re.compile(r"^ {4,}(?!return|bool|int|uint|unsigned|const|struct|\{|\}|for|if|else).*;$")
+STATEMENT = re.compile(
+    r"^ {4,}(?=\S)(?!return|bool|int|uint|unsigned|const|struct|\{|\}|for|if|else).*;$"
+)
 EQUIVALENT: dict[str, str] = {}
 """FILE:LINE text -> mutated text, with the reason."""
 SLOW_S = 120

@@ -1,4 +1,4 @@
-"""The C code's own structures, as its headers have them, for tests that call it function by function."""
+"""The C code's structures as its headers have them, for tests that call single functions."""
 
 from __future__ import annotations
 

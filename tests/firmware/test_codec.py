@@ -64,7 +64,10 @@ def test_an_edge_frame(board: NativeBoard, rng: np.random.Generator, channel: in
 def test_the_slow_sensors(board: NativeBoard, rng: np.random.Generator) -> None:
     frame = CFrame()
     for _ in range(TIMES):
-        time_us, slow = int(rng.integers(1 << 32)), [int(each) for each in rng.integers(1 << 16, size=4)]
+        time_us, slow = (
+            int(rng.integers(1 << 32)),
+            [int(each) for each in rng.integers(1 << 16, size=4)],
+        )
         scan = CScan((0,) * 4, *slow, 0)
         board.code.frames_put_gearbox_sensors(ctypes.byref(frame), time_us, ctypes.byref(scan))
         values = {
@@ -101,7 +104,10 @@ def test_the_sleeves(
 def test_valve_status(board: NativeBoard, rng: np.random.Generator) -> None:
     frame = CFrame()
     for _ in range(TIMES):
-        time_us, energised, pending = (int(rng.integers(1 << 32)), *map(int, rng.integers(512, size=2)))
+        time_us, energised, pending = (
+            int(rng.integers(1 << 32)),
+            *map(int, rng.integers(512, size=2)),
+        )
         counts = [int(each) for each in rng.integers(1 << 16, size=2)]
         report = CReport(time_us, energised, pending, *counts)
         board.code.frames_put_valve_status(ctypes.byref(frame), ctypes.byref(report))
@@ -123,8 +129,10 @@ def test_a_valve_command(board: NativeBoard, rng: np.random.Generator) -> None:
         )
 
 
-@pytest.mark.parametrize(("action", "is_one", "closes"), [(0, True, False), (1, True, True),
-                                                          (2, False, False), (255, False, False)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("action", "is_one", "closes"),
+    [(0, True, False), (1, True, True), (2, False, False), (255, False, False)],
+)
 def test_a_clutch_command(board: NativeBoard, action: int, is_one: bool, closes: bool) -> None:
     frame = CFrame(data=tuple(expected("ClutchCommand", {"Action": action}).ljust(64, b"\0")))
     close = ctypes.c_bool()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import random
+from itertools import pairwise
 
 import pytest
 from firmware_bench import AT_REST, CommandBench
@@ -20,7 +21,7 @@ GAPS_US = [150, 900, 2_000, 9_999, 10_000, 50_000, LONG_US, LONG_US + 1, 70_000,
 def expected(edges_us: list[int], on_us: int, now_us: int) -> tuple[object, ...]:
     """What docs/wire.md and the DBC want a frame to say, from all edges since power-on."""
     newest = edges_us[::-1][:STAMPS]
-    gaps_us = [a - b for a, b in zip(newest, newest[1:], strict=False)]
+    gaps_us = [a - b for a, b in pairwise(newest)]
     stamps = [stamp & 0xFFFF for stamp in newest]
     stopped = now_us - (newest[0] if newest else on_us) > LONG_US
     return (len(edges_us) & 0xFFFF, len(newest), any(gap > LONG_US for gap in gaps_us), stopped,

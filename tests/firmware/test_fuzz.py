@@ -1,4 +1,4 @@
-"""Random and damaged frames, edges and clocks, under the address and undefined-behaviour sanitizers."""
+"""Random and damaged frames, edges and clocks, under address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.firmware.build import SOURCES, compiled, sources
+from meshpoint.testbench.firmware.build import compiled, source_folder, sources
 
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
@@ -18,7 +18,8 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("cc") is None:
         pytest.skip("no cc here: the compiler of meshpoint[firmware] has no address sanitizer")
     path = tmp_path_factory.mktemp("fuzz") / "fuzz"
-    compiled([*sources(), SOURCES / "native" / "fuzz.c"], path, SANITIZED)
+    folder = source_folder()
+    compiled([*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED)
     return path
 
 

@@ -87,6 +87,17 @@ def test_an_activation_that_waits_may_be_sent_again(bench: CommandBench) -> None
     assert bench.read()["ValveStatus"].refused_count == 0
 
 
+def test_one_that_waits_is_still_the_same_when_the_clock_has_jumped_back(
+    bench: CommandBench,
+) -> None:
+    due_us = bench.now_us + 50_000
+    bench.command(brake=(ON_AT, due_us))
+    bench.memory.sensor_us -= 200_000
+    bench.command(brake=(ON_AT, due_us))
+    status = bench.read()["ValveStatus"]
+    assert (status.brake_pending, status.refused_count) == (True, 0)
+
+
 def test_one_that_has_passed_holds_and_is_never_armed_again(bench: CommandBench) -> None:
     due_us = bench.now_us + 5_000
     for _ in range(9):
@@ -139,7 +150,9 @@ def test_a_release_is_taken_up_to_2_ms_late(bench: CommandBench) -> None:
 
 def test_everything_is_off_100_ms_after_the_last_valid_frame(bench: CommandBench) -> None:
     now_us = bench.now_us
-    bench.command(brake=ON, main_first=(ON_AT, now_us + 99_999), main_crawl=(ON_AT, now_us + 100_000))
+    bench.command(
+        brake=ON, main_first=(ON_AT, now_us + 99_999), main_crawl=(ON_AT, now_us + 100_000)
+    )
     bench.wait(99_999)
     assert bench.driven == {"brake", "main_first"}
     bench.wait(1)

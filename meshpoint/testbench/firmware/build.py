@@ -13,11 +13,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-import meshpoint.firmware
 from meshpoint.kernels.folder import ENTRY, UnusableEntryError, kernel_folders
 from meshpoint.testbench.errors import CommandError
 
-SOURCES: Final = Path(meshpoint.firmware.__file__).parent
+PACKAGE: Final = "meshpoint.firmware"
 EXTRA: Final = "firmware"
 FLAGS: Final = (
     "-std=c11", "-O2", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wconversion",
@@ -41,7 +40,15 @@ def compiler() -> list[str]:
     )
 
 
-def sources(folder: Path = SOURCES) -> list[Path]:
+def source_folder() -> Path:
+    """Where the C sources are. CommandError where this installation has none, as a container's."""
+    found = find_spec(PACKAGE)
+    if found is None or found.origin is None:
+        raise CommandError(f"{PACKAGE}: the firmware's sources are not part of this installation")
+    return Path(found.origin).parent
+
+
+def sources(folder: Path) -> list[Path]:
     """The C files of the board of memory, in a fixed order."""
     return [*sorted(folder.glob("*.c")), folder / "native" / "native.c"]
 
@@ -61,7 +68,7 @@ def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED)
         raise CommandError(f"{command[0]}: the firmware was not compiled:\n{said}")
 
 
-def library(folder: Path = SOURCES) -> bytes:
+def library(folder: Path) -> bytes:
     """The firmware as a shared library, from the cache of compiled code where it is there.
 
     folder: the sources. CommandError: it cannot be built."""

@@ -1,4 +1,4 @@
-"""The firmware between the rig and the bus: what the rig's own board would send and switch, it does.
+"""The firmware between rig and bus: it sends and switches what the rig's own board would.
 
 The rig's frames of a read are taken as what comes in at the pins; the valves' and the clutch's
 outputs go to the rig as commands to switch now, at the microsecond at which they were switched.
@@ -40,9 +40,9 @@ EDGES: Final = {
 ACTIONS: Final = [name for name in ValveCommand._fields if name.endswith("_action")]
 STAMPS: Final = 27
 TO_BE_VALID: Final = 3
-"""So many frames has a receiver to hear before it obeys."""
+"""A receiver obeys the third good frame, not the first."""
 RENEW_US: Final = 30_000
-"""An output is told again after this: the rig takes 50 ms without a frame for a node that is off."""
+"""A command is repeated after this: 50 ms without a frame are a node that is off."""
 NOT_OF_THE_GEARBOX: Final = frozenset(
     (RigFault.FROZEN_PAYLOAD, RigFault.CLOCK_STEP, RigFault.NODE_RESTART, RigFault.NODE_STALLED)
 )
@@ -55,8 +55,8 @@ _AT_TIME: Final = 3
 _AT_SLEEVES: Final = 7
 
 
-class Told(NamedTuple):
-    """An output as the rig was told of it, and when."""
+class Passed(NamedTuple):
+    """An output as the rig was commanded last, and when."""
 
     output: int
     at_us: int
@@ -77,7 +77,7 @@ class FirmwareRig(AroundCore[Core]):
         self._wake_us = 0
         self._index = [0] * CHANNELS
         self._pins: dict[int, bytes] = {}
-        self._told: dict[int, Told] = {}
+        self._passed: dict[int, Passed] = {}
 
     def receive(self, frame: Frame) -> None:
         """As `RigCore`: a valve command, and a change of the clutch's, ask for a step at once."""
@@ -107,7 +107,7 @@ class FirmwareRig(AroundCore[Core]):
         if is_read or self._commanded:
             step = self._exchange(now_us)
         else:
-            if self._tell(now_us, set()):
+            if self._pass_on(now_us, set()):
                 self._keep(self._core.step(now_us))
             step = Step([], [])
         self._wake_us = now_us + self._board.wake_us
@@ -132,14 +132,14 @@ class FirmwareRig(AroundCore[Core]):
         others = [frame for frame in inbox if frame.can_id not in (VALVES, CLUTCH)]
         for frame in inbox:
             self._board.receive(frame)
-        self._tell(now_us, {frame.can_id for frame in inbox})
+        self._pass_on(now_us, {frame.can_id for frame in inbox})
         for frame in others:
             self._core.receive(frame)
         self._keep(self._core.step(now_us))
         step, self._held = self._held, Step([], [])
         return step
 
-    def _tell(self, now_us: int, heard: set[int]) -> bool:
+    def _pass_on(self, now_us: int, heard: set[int]) -> bool:
         """Commands to the rig of the outputs as they are: where one has been switched, where the
         board has heard a command, and often enough for the rig not to think that nobody is there.
         Whether there was one."""
@@ -147,18 +147,18 @@ class FirmwareRig(AroundCore[Core]):
         outputs: dict[int, int] = {VALVES: memory.driven}
         if memory.clutch_orders:  # until the first one, nothing drives the actuator
             outputs[CLUTCH] = memory.is_clutch_closed
-        has_told = False
+        has_passed = False
         for can_id, output in outputs.items():
-            told = self._told.get(can_id)
-            if told and output == told.output and can_id not in heard:
-                if now_us - told.at_us < RENEW_US:
-                    continue
-            self._told[can_id] = Told(output, now_us)
-            has_told = True
+            last = self._passed.get(can_id)
+            is_known = last is not None and last.output == output and can_id not in heard
+            if last is not None and is_known and now_us - last.at_us < RENEW_US:
+                continue
+            self._passed[can_id] = Passed(output, now_us)
+            has_passed = True
             message = _valves(output) if can_id == VALVES else _clutch(output)
-            for _ in range(1 if told else TO_BE_VALID):
+            for _ in range(1 if last else TO_BE_VALID):
                 self._core.receive(self._transmitter.encode(message))
-        return has_told
+        return has_passed
 
     def _with_ours(self, frames: list[Frame]) -> list[Frame]:
         """The board's frames in place of the rig's own ones of the same read."""
@@ -204,10 +204,12 @@ class FirmwareRig(AroundCore[Core]):
 
 def _valves(driven: int) -> ValveCommand:
     """The command that drives exactly these valves, one bit each."""
-    return ValveCommand(**{
-        name: ValveAction.ON_NOW if driven >> place & 1 else ValveAction.OFF_NOW
-        for place, name in enumerate(ACTIONS)
-    })
+    return ValveCommand(
+        **{
+            name: ValveAction.ON_NOW if driven >> place & 1 else ValveAction.OFF_NOW
+            for place, name in enumerate(ACTIONS)
+        }
+    )
 
 
 def _clutch(is_closed: int) -> ClutchCommand:

@@ -110,7 +110,9 @@ class NativeBoard:
         values = [0] * (_SCAN_VALUES * SCANS)
         for place, samples in enumerate(analogue.sleeves):
             values[place::_SCAN_VALUES] = samples
-        for place, value in enumerate((*analogue.slow, analogue.bad_sleeves), len(analogue.sleeves)):
+        for place, value in enumerate(
+            (*analogue.slow, analogue.bad_sleeves), len(analogue.sleeves)
+        ):
             values[place::_SCAN_VALUES] = (value,) * SCANS
         _SCANS.pack_into(self._scans, 0, *values)
         self.memory.has_scans = True
@@ -130,8 +132,6 @@ class NativeBoard:
     def wake_us(self) -> int:
         """How long until it may switch an output by itself."""
         memory = self.memory
-        waits_us = (
-            memory.wake_sensor_us - memory.sensor_us,
-            memory.wake_own_us - memory.own_us,
-        )
-        return min((wait_us & 0xFFFF_FFFF for wait_us in waits_us))
+        by_sensor_us: int = memory.wake_sensor_us - memory.sensor_us
+        by_own_us: int = memory.wake_own_us - memory.own_us
+        return min(by_sensor_us & 0xFFFF_FFFF, by_own_us & 0xFFFF_FFFF)
