@@ -61,7 +61,7 @@ uint16_t hal_driven(void);
 /* Closes the clutch, or lets its actuator open it. */
 void hal_close_clutch(bool close);
 
-/* Calls `valve_on_time` at this time of a clock, at once where it has passed; the last one set
+/* Calls `board_on_time` at this time of a clock, at once where it has passed; the last one set
  * holds. */
 void hal_wake_at_sensor(uint32_t sensor_us);
 void hal_wake_at_own(uint32_t own_us);
