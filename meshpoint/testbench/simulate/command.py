@@ -195,6 +195,8 @@ def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
         return None
     if setup.bus_load is not None:
         raise CommandError("--silkit: other nodes' frames (--bus-load) are not on its bus")
+    if setup.has_firmware:
+        raise CommandError("--silkit: the rig's process there has no --firmware")
     from meshpoint.testbench.silkit.rig_apart import RigApart
 
     return RigApart(setup, namespace.silkit)
