@@ -25,7 +25,7 @@ def frame(can_id):
 
 ERROR = can.Message(is_error_frame=True)
 LOAD = (frame(0x010), 0.0004)  # seconds: some 60 % of a bus of 500 kbit/s
-ERRORS = (ERROR, 0.010)
+ERRORS = (ERROR, 0.050)
 PATIENT = {"rx_flowcontrol_timeout": 30_000, "rx_consecutive_frame_timeout": 30_000}  # ms
 
 
@@ -105,7 +105,7 @@ QUESTIONS = (
     ("state of a node that has spoiled its own frame 32 times", state_after_errors),
     ("3,840 bytes by can-isotp, (ms, error frames)", isotp_transfer),
     ("the same beside a 0x010 each 0.4 ms", isotp_transfer, LOAD),
-    ("the same with an error frame each 10 ms besides", isotp_transfer, LOAD, ERRORS),
+    ("the same with an error frame each 50 ms besides", isotp_transfer, LOAD, ERRORS),
 )
 
 
