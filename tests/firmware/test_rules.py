@@ -267,6 +267,14 @@ def test_the_two_valves_of_a_sleeve_are_never_on_together(
     assert bench.memory.coils_together == 0
 
 
+def test_the_output_stage_by_itself_drives_nine_valves_and_of_a_sleeve_one(
+    bench: CommandBench,
+) -> None:
+    for wanted, driven in ((0xFFFF, 0x001), (0x1FE, 0), (0x0AB, 0x0AB), (0xFE00, 0)):
+        bench.board.code.outputs_drive(wanted)
+        assert bench.memory.driven == driven
+
+
 def test_valves_of_two_sleeves_may_be_on_together(bench: CommandBench) -> None:
     both = {"brake": ON, "split_high": ON, "main_first": ON, "main_third": ON, "range_low": ON}
     bench.command(**both)

@@ -56,8 +56,9 @@ def compare(board: NativeBoard, commands: int) -> None:
         own_us, clock_us = own_us + wait_us, clock_us + wait_us + step_us
         bank.activate(clock_us)
         bank.expire(own_us)
-        code.valves_run(at, clock_us & 0xFFFF_FFFF, own_us & 0xFFFF_FFFF)
-        if rng.random() < 0.9:
+        if rng.random() < 0.1:
+            code.valves_run(at, clock_us & 0xFFFF_FFFF, own_us & 0xFFFF_FFFF)
+        else:  # which does first what is due
             orders, c_orders = drawn(rng, clock_us)
             bank.command(orders, clock_us, own_us)
             code.valves_command(at, c_orders, clock_us & 0xFFFF_FFFF, own_us & 0xFFFF_FFFF)
