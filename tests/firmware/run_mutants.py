@@ -37,8 +37,11 @@ TOKEN = re.compile(r"->|<<|>>|<=|>=|==|!=|&&|\|\||\+\+|\+=|[<>&|+~!-]|\btrue\b|\
 STATEMENT = re.compile(
     r"^ {4,}(?=\S)(?!return|bool|int|uint|unsigned|const|struct|\{|\}|for|if|else).*;$"
 )
-EQUIVALENT: dict[str, str] = {}
-"""FILE:LINE text -> mutated text, with the reason."""
+LATER = "if (pending->is_set && pending->at_us {} next_us) {{"
+EQUIVALENT = {
+    f"valves.c: {LATER.format('<')} -> {LATER.format('<=')}": "of two equal times either will do"
+}
+"""Mutants that behave as the firmware does, with the reason."""
 SLOW_S = 60
 
 
