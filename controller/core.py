@@ -45,7 +45,6 @@ from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.controller.valve_name import driven_or_pending
 from meshpoint.controller.xcp.measured import SLEEVES, StepFacts
 from meshpoint.controller.xcp.node import XcpNode
-from meshpoint.controller.xcp.parameters import changes_in_words
 from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (
@@ -136,8 +135,6 @@ class ControllerCore:
         self._engine_requests = 0
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
-        self._calibrated = settings
-        """The settings as an XCP master has them."""
         self._xcp: XcpNode | None = None
         if header.xcp is not XcpAccess.OFF:
             self._xcp = XcpNode(header.version, settings, header.xcp)
@@ -471,9 +468,10 @@ class ControllerCore:
         ended = sequence.finished is not None
         answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)
         events += lines
-        if sequence.shift is None and xcp.settings != self._calibrated:
-            events.append(f"XCP: {changes_in_words(self._calibrated, xcp.settings)}")
-            self._settings = self._calibrated = xcp.settings
+        change = xcp.take_change() if sequence.shift is None else None
+        if change is not None:
+            self._settings, words = change
+            events.append(f"XCP: {words}")
             try:
                 sequence.change_settings(self._settings)
             except StrategyError as error:  # a user's own, made anew from the settings

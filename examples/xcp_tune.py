@@ -19,6 +19,8 @@ from pyxcp.config import create_application_from_config
 from pyxcp.master import Master
 from pyxcp.types import XcpResponseError, XcpTimeoutError
 
+HEADS = r"/begin CHARACTERISTIC (\S+)"
+
 
 def setting(text: str, name: str) -> tuple[int, str]:
     """Address of a setting, and how its four bytes are packed."""
@@ -26,9 +28,6 @@ def setting(text: str, name: str) -> tuple[int, str]:
     if found is None:
         sys.exit(f"no setting {name}; the file has {', '.join(re.findall(HEADS, text))}")
     return int(found[1], 16), {"float": "<f", "whole": "<I"}[found[2]]
-
-
-HEADS = r"/begin CHARACTERISTIC (\S+)"
 
 
 def master(text: str, bus: can.BusABC) -> Any:

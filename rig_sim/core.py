@@ -23,6 +23,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.command_inbox import CommandInbox
 from meshpoint.rig_sim.frames import TRUTH, engagement_message, read_messages, valve_status
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.presets import build_world
@@ -35,11 +36,7 @@ NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
 FROM_IO: Final = frozenset(
     codec.message_type for codec in CODECS.values() if codec.spec.sender == Node.GEARBOX_IO
 )
-VALVES: Final = CODECS[ValveCommand.__name__].spec.can_id
 ENGINE_REQUEST: Final = CODECS[TSC1.__name__].spec.can_id
-CLUTCH: Final = CODECS[ClutchCommand.__name__].spec.can_id
-CLUTCH_ACTION: Final = 3
-"""The byte of the clutch command that says what it is to do."""
 
 
 class RigCore:
@@ -54,13 +51,11 @@ class RigCore:
         self._world = build_world(sheet, settings)
         self._transmitter = Transmitter(*NODES)
         self.receiver = Receiver(*NODES)
-        self._inbox: list[Frame] = []
-        self._commanded = False
+        self._inbox = CommandInbox()
         self._start_us: int | None = None
         self._last_sequence: int | None = None
         self._last_fault: int | None = None
         self._last_valves: ValveCommand | None = None
-        self._last_clutch = b""
         self._node = self._world.node
         self._restarts = 0
         self._suspicions = Suspicions()
@@ -89,20 +84,14 @@ class RigCore:
         if self._start_us is None:
             return 0
         stalled_us = self._node.stalled_until_us
-        if self._commanded:
+        if self._inbox.is_urgent:
             return self._start_us + stalled_us if stalled_us else 0
         return self._start_us + max(self._world.next_read_us, stalled_us)
 
     def receive(self, frame: Frame) -> None:
         """Keep a frame for the next step; a valve command asks for that step at once, and so does
         a clutch command other than the one before."""
-        self._inbox.append(frame)
-        if frame.can_id == VALVES:
-            self._commanded = True
-        elif frame.can_id == CLUTCH:
-            action = frame.data[CLUTCH_ACTION:]
-            self._commanded |= action != self._last_clutch
-            self._last_clutch = action
+        self._inbox.receive(frame)
 
     def step(self, now_us: int) -> Step:
         """Go on to now, sending every read that was due; then obey the frames received."""
@@ -117,9 +106,7 @@ class RigCore:
             self._send_engaged(frames)
             self._send_read(frames, read_us)
             read_us = self._world.next_read_us
-        inbox, self._inbox = self._inbox, []
-        self._commanded = False
-        heard = [self._hear(frame) for frame in inbox]
+        heard = [self._hear(frame) for frame in self._inbox.take()]
         self.receiver.tick(now_us)
         for message in heard:
             if message is not None:

@@ -11,7 +11,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.xcp.daq import Event
 from meshpoint.controller.xcp.measured import StepFacts
 from meshpoint.controller.xcp.memory import Memory
-from meshpoint.controller.xcp.parameters import CalibrationPages
+from meshpoint.controller.xcp.parameters import CalibrationPages, changes_in_words
 from meshpoint.controller.xcp.protocol import FD_LENGTHS
 from meshpoint.controller.xcp.slave import XcpSlave
 from meshpoint.controller.xcp_access import XcpAccess
@@ -27,6 +27,7 @@ class XcpNode:
 
     def __init__(self, version: str, settings: ControllerSettings, access: XcpAccess) -> None:
         self._pages = CalibrationPages(settings)
+        self._taken = settings
         self._memory = Memory(version, self._pages, access)
         self._slave = XcpSlave(self._memory, self._pages, settings.timing.tick_ms)
         self._commands: deque[Frame] = deque()
@@ -34,10 +35,14 @@ class XcpNode:
         """What a step could not send any more."""
         self._unheard = 0
 
-    @property
-    def settings(self) -> ControllerSettings:
-        """Those that the master wants, from the next shift on."""
-        return self._pages.settings
+    def take_change(self) -> tuple[ControllerSettings, str] | None:
+        """The settings that the master wants, and in words what they change; None where it wants
+        those that were taken last."""
+        wanted, before = self._pages.settings, self._taken
+        if wanted == before:
+            return None
+        self._taken = wanted
+        return wanted, changes_in_words(before, wanted)
 
     def receive(self, frame: Frame) -> None:
         """A command of a master."""

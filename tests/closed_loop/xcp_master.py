@@ -5,25 +5,32 @@ from __future__ import annotations
 
 import logging
 import queue
+import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import can
+import pytest
 from loop_bench import Loop
 from pyxcp.config import create_application_from_config, set_application
 from pyxcp.master import Master
+from pyxcp.types import XcpResponseError
 
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.xcp.memory import PAGE_ADDRESS
+from meshpoint.controller.xcp.parameters import PARAMETERS, ROW_BYTES
 from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.version import product_version
 
@@ -109,7 +116,7 @@ class Cable(can.BusABC):
         return Step(frames, [])
 
     def shutdown(self, now_us: int) -> Step:
-        return Step([], [])  # pragma: no cover
+        return Step([], [])
 
 
 @contextmanager
@@ -133,3 +140,40 @@ def master(
     config.transport.timeout = 30.0
     with Master("can", config, policy, transport_layer_interface=cable) as one:
         yield one, cable.loop, cable
+
+
+AIM = "window.aim_slip_rpm"
+
+
+def address_of(name: str) -> int:
+    (row,) = (i for i, each in enumerate(PARAMETERS) if each.name == name)
+    return PAGE_ADDRESS + ROW_BYTES * row
+
+
+def read(one: Any, name: str) -> float:
+    (value,) = struct.unpack("<f", one.shortUpload(ROW_BYTES, address_of(name)))
+    return float(value)
+
+
+def write(one: Any, name: str, value: float) -> None:
+    one.setMta(address_of(name))
+    one.download(struct.pack("<f", value))
+
+
+def refusal(call: Any, *given: Any) -> str:
+    """The error that a command is answered with."""
+    with pytest.raises(XcpResponseError) as error:
+        call(*given)
+    return str(error.value.args[0])
+
+
+def settings_of(run: Any) -> ControllerSettings:
+    """Those that the next decision of a shift goes by."""
+    settings: ControllerSettings = run.core.sequence.settings
+    return settings
+
+
+def verdict(run: Any, folder: Path) -> Any:
+    run.header.save(folder)
+    (session,) = LogReplay(folder, verify=True).run([frame for _, frame in run.frames])
+    return session

@@ -24,7 +24,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.rig_sim.core import CLUTCH, CLUTCH_ACTION, FROM_IO, VALVES
+from meshpoint.rig_sim.command_inbox import CLUTCH, VALVES, CommandInbox
+from meshpoint.rig_sim.core import FROM_IO
 from meshpoint.testbench.firmware.native_board import CHANNELS, Analogue, NativeBoard
 
 IO_IDS: Final = frozenset(CODECS[message.__name__].spec.can_id for message in FROM_IO)
@@ -69,10 +70,8 @@ class FirmwareRig(AroundCore[Core]):
         super().__init__(rig)
         self._board = board
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
-        self._inbox: list[Frame] = []
+        self._inbox = CommandInbox()
         self._held = Step([], [])
-        self._commanded = False
-        self._last_clutch = b""
         self._at_us: int | None = None
         self._wake_us = 0
         self._index = [0] * CHANNELS
@@ -81,18 +80,12 @@ class FirmwareRig(AroundCore[Core]):
 
     def receive(self, frame: Frame) -> None:
         """As `RigCore`: a valve command, and a change of the clutch's, ask for a step at once."""
-        self._inbox.append(frame)
-        if frame.can_id == VALVES:
-            self._commanded = True
-        elif frame.can_id == CLUTCH:
-            action = frame.data[CLUTCH_ACTION:]
-            self._commanded |= action != self._last_clutch
-            self._last_clutch = action
+        self._inbox.receive(frame)
 
     @property
     def next_step_us(self) -> int:
         """That of the rig; or when the firmware may switch an output."""
-        if self._commanded:
+        if self._inbox.is_urgent:
             return 0
         return min(self._core.next_step_us, self._wake_us)
 
@@ -104,7 +97,7 @@ class FirmwareRig(AroundCore[Core]):
         is_read = self._core.next_step_us <= now_us
         if is_read:
             self._keep(self._core.step(now_us))
-        if is_read or self._commanded:
+        if is_read or self._inbox.is_urgent:
             step = self._exchange(now_us)
         else:
             if self._pass_on(now_us, set()):
@@ -128,7 +121,7 @@ class FirmwareRig(AroundCore[Core]):
 
     def _exchange(self, now_us: int) -> Step:
         """What was received, to the board and to the rig; what they have to send."""
-        inbox, self._inbox, self._commanded = self._inbox, [], False
+        inbox = self._inbox.take()
         others = [frame for frame in inbox if frame.can_id not in (VALVES, CLUTCH)]
         for frame in inbox:
             self._board.receive(frame)

@@ -349,9 +349,12 @@ def _without_unprotected_intruders(
     own: list[Frame] = []
     others: Counter[int] = Counter()
     for frame in logged:
+        if _is_protected(frame):
+            own.append(frame)
+            continue
         mine = {(each.can_id, each.data) for each in made if each.can_id == frame.can_id}
         is_other = (frame.can_id, frame.data) not in mine and mine <= held
-        if is_other and not _is_protected(frame) and (mine or frame.can_id == XCP_RESPONSE_ID):
+        if is_other and (mine or frame.can_id == XCP_RESPONSE_ID):
             others[frame.can_id] += 1
         else:
             own.append(frame)
