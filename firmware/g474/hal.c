@@ -7,21 +7,10 @@
 
 enum {
     LOST_READS = 4,   /* for as many looks at a wheel edges are said to be lost: two reads */
-    QUEUE = 32,       /* frames behind the three of the FDCAN */
-    FULL = 4095 * 16  /* 256 samples of 12 bits, added and shifted by 4 */
+    QUEUE = 32        /* frames behind the three of the FDCAN */
 };
 
-/* Sensors are ratiometric, from 10 to 90 % of full scale; beyond 5 and 95 % a wire is broken. */
-enum { AT_10 = FULL / 10, AT_90 = 9 * AT_10, BROKEN_LOW = FULL / 20, BROKEN_HIGH = FULL - FULL / 20 };
-
-/* Of a transmitter: its value at 10 %, and how far it is from there to 90 %, in steps of hal.h. */
-struct range {
-    int32_t from, span;
-};
-static const struct range SLEEVE = {-20000, 40000}, PRESSURE = {0, 50000}, OIL = {4000, 26000},
-                          CLUTCH = {0, 10000};
-
-volatile uint16_t edges_low_us[HAL_CHANNELS][RING], scans_raw[HAL_SCANS][INPUTS];
+volatile uint16_t edges_low_us[HAL_CHANNELS][RING], scans_raw[HAL_SCANS][TRANSMITTERS];
 volatile uint16_t levels_raw[HAL_WHEELS];
 volatile bool is_due;
 static uint16_t taken[HAL_CHANNELS]; /* where in the ring the next edge is taken */
@@ -65,31 +54,8 @@ bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
 }
 
 bool hal_wheel_is_bad(unsigned wheel) {
-    unsigned level = levels_raw[wheel] * 16U;
     lost[wheel] = (uint8_t)(lost[wheel] - (lost[wheel] > 0));
-    return lost[wheel] > 0 || level < BROKEN_LOW || level > BROKEN_HIGH;
-}
-
-static int32_t scaled(uint16_t raw, const struct range *range) {
-    int32_t above = raw - AT_10, whole = (AT_90 - AT_10) / 16;
-    return range->from + (above * (range->span / 16) + whole / 2) / whole;
-}
-
-static uint16_t positive(uint16_t raw, const struct range *range) {
-    return (uint16_t)(raw < AT_10 ? range->from : scaled(raw, range));
-}
-
-static void read_scan(struct hal_scan *scan, const volatile uint16_t raw[INPUTS]) {
-    scan->bad_sleeves = 0;
-    for (unsigned i = 0; i < HAL_SLEEVES; i++) {
-        scan->sleeve_um[i] = (int16_t)scaled(raw[i], &SLEEVE);
-        bool is_bad = raw[i] < BROKEN_LOW || raw[i] > BROKEN_HIGH;
-        scan->bad_sleeves = (uint8_t)(scan->bad_sleeves | is_bad << i);
-    }
-    scan->brake_20pa = positive(raw[4], &PRESSURE);
-    scan->supply_20pa = positive(raw[5], &PRESSURE);
-    scan->oil_centidegree = positive(raw[6], &OIL);
-    scan->clutch_basispoint = positive(raw[7], &CLUTCH);
+    return lost[wheel] > 0 || transmitter_is_broken(levels_raw[wheel] * 16U);
 }
 
 bool hal_scans(struct hal_scan scans[HAL_SCANS]) {
@@ -98,7 +64,7 @@ bool hal_scans(struct hal_scan scans[HAL_SCANS]) {
     }
     is_scan = false;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
-        read_scan(&scans[i], scans_raw[HAL_SCANS - 1 - i]);
+        transmitters_scale(scans_raw[HAL_SCANS - 1 - i], &scans[i]);
     }
     return true;
 }

@@ -2,12 +2,12 @@
 #ifndef MEMORY_H
 #define MEMORY_H
 
-#include "../hal.h"
+#include "../transmitters.h"
 
-enum { MHZ = 80, RING = 256, INPUTS = 8 };
+enum { MHZ = 80, RING = 256 };
 
 extern volatile uint16_t edges_low_us[HAL_CHANNELS][RING];
-extern volatile uint16_t scans_raw[HAL_SCANS][INPUTS]; /* 0 to 65,520 of full scale */
+extern volatile uint16_t scans_raw[HAL_SCANS][TRANSMITTERS];
 extern volatile uint16_t levels_raw[HAL_WHEELS];       /* of the Hall inputs, 0 to 4,095 */
 extern volatile bool is_due;                           /* the main loop's next round */
 

@@ -130,7 +130,7 @@ static void start_converters(void) {
     ADC1->SQR[0] = 7 | 6 << 6 | 7 << 12 | 8 << 18 | 9 << 24;
     ADC1->SQR[1] = 12 | 14 << 6 | 11 << 12 | 2 << 18;
     ADC2->SQR[0] = 3 | 4 << 6 | 5 << 12 | 11 << 18 | 17 << 24;
-    start_ring(DMA2, 0, 5, &ADC1->DR, scans_raw[0], INPUTS * HAL_SCANS, BIT(1));
+    start_ring(DMA2, 0, 5, &ADC1->DR, scans_raw[0], TRANSMITTERS * HAL_SCANS, BIT(1));
     start_ring(DMA2, 1, 36, &ADC2->DR, levels_raw, HAL_WHEELS, 0);
     start_adc(ADC1, BIT(0) | 7 << 2 | 4 << 5);
     start_adc(ADC2, 0);
