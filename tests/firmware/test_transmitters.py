@@ -35,8 +35,8 @@ def reading(share: float) -> int:
 def test_each_value_of_the_wire_is_read_to_its_step(board: NativeBoard) -> None:
     for part in range(5_001):
         wanted = [low + span * part // 5_000 for low, span in RANGES]
-        found = scan(board, [reading(0.1 + 0.8 * (value - low) / span)
-                             for value, (low, span) in zip(wanted, RANGES, strict=True)])  # fmt: skip
+        shares = [(value - low) / span for value, (low, span) in zip(wanted, RANGES, strict=True)]
+        found = scan(board, [reading(0.1 + 0.8 * share) for share in shares])
         assert values(found) == wanted
         assert found.bad_sleeves == 0
 
