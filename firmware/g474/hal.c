@@ -6,8 +6,8 @@
 #include "registers.h"
 
 enum {
-    LOST_READS = 4,   /* for as many looks at a wheel edges are said to be lost: two reads */
-    QUEUE = 32        /* frames behind the three of the FDCAN */
+    LOST_LOOKS = 5, /* at a wheel, two a read: for two reads edges are said to be lost */
+    QUEUE = 32      /* frames behind the three of the FDCAN */
 };
 
 volatile uint16_t edges_low_us[HAL_CHANNELS][RING], scans_raw[HAL_SCANS][TRANSMITTERS];
@@ -38,7 +38,7 @@ static bool is_overrun(unsigned channel) {
 bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
     uint32_t next = (RING - DMA1->CH[channel].CNDTR) % RING, now_us = TIM2->CNT;
     if (is_overrun(channel)) {
-        lost[channel / 2] = LOST_READS;
+        lost[channel / 2] = LOST_LOOKS;
         taken[channel] = (uint16_t)next;
     }
     if (taken[channel] == next) {
