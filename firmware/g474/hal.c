@@ -31,12 +31,14 @@ uint32_t hal_own_us(void) {
  * some may have been written over. */
 static bool is_overrun(unsigned channel) {
     uint32_t both = (BIT(1) | BIT(2)) << 4 * channel, passed = DMA1->ISR & both;
-    DMA1->IFCR = passed;
+    if (passed != 0) {
+        DMA1->IFCR = passed;
+    }
     return passed == both;
 }
 
 bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
-    uint32_t next = (RING - DMA1->CH[channel].CNDTR) % RING, now_us = TIM2->CNT;
+    uint32_t next = (RING - DMA1->CH[channel].CNDTR) % RING;
     if (is_overrun(channel)) {
         lost[channel / 2] = LOST_LOOKS;
         taken[channel] = (uint16_t)next;
@@ -44,7 +46,8 @@ bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
     if (taken[channel] == next) {
         return false;
     }
-    /* A stamp has 16 bits, and is less than 65 ms old. */
+    /* A stamp has 16 bits, and is less than 65 ms old. The time is read behind the ring's end. */
+    uint32_t now_us = TIM2->CNT;
     *stamp_us = now_us - (uint16_t)(now_us - edges_low_us[channel][taken[channel]]);
     if ((int32_t)(until_us - *stamp_us) < 0) {
         return false;
