@@ -88,7 +88,8 @@ void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t ow
     enum finding finding = find(channel, status);
     enum e2e_state next = NEXT[channel->state][finding];
     if (finding == SILENT || (next == E2E_INVALID && channel->state != E2E_INVALID)) {
-        channel->oks = channel->errors = 0;
+        channel->oks = 0;
+        channel->errors = 0;
     }
     channel->state = next;
     if (status == E2E_OK) {

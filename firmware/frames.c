@@ -31,7 +31,8 @@ bool frames_is(const struct frame *frame, uint32_t id, unsigned length) {
 static void begin(struct frame *frame, uint32_t id, uint8_t length, uint32_t time_us) {
     frame->id = id;
     frame->length = length;
-    frame->is_extended = frame->is_fd = true;
+    frame->is_extended = true;
+    frame->is_fd = true;
     for (unsigned i = 0; i < sizeof frame->data; i++) {
         frame->data[i] = 0;
     }

@@ -7,7 +7,8 @@
 enum { CLUTCH_EXPIRY_US = 100000, LONGEST_SLEEP_US = 1000000 };
 
 static struct valves valves;
-static struct e2e_channel valve_channel, clutch_channel;
+static struct e2e_channel valve_channel;
+static struct e2e_channel clutch_channel;
 static bool is_clutch_closed;
 static uint32_t clutch_expiry_us; /* own time; where it is closed */
 static uint8_t counter;
@@ -103,7 +104,7 @@ static void command_clutch(const struct frame *frame) {
         return;
     }
     bool close;
-    frames_get_clutch_command(frame, &close);
+    (void)frames_get_clutch_command(frame, &close); /* may_act has seen that it is one */
     set_clutch(close);
     clutch_expiry_us = hal_own_us() + CLUTCH_EXPIRY_US;
 }

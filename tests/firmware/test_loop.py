@@ -203,20 +203,3 @@ def test_each_image_does_its_own_part_alone(
     bench.command(brake=ValveAction.ON_NOW)
     assert bench.driven == ({"brake"} if valve else set())
     assert set(bench.read()) == sent
-
-
-@pytest.mark.long
-def test_the_compiler_of_the_extra_builds_it_natively_and_for_a_cortex_m4(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    pytest.importorskip("ziglang", reason="meshpoint[firmware] is not installed")
-    monkeypatch.setattr(build.shutil, "which", lambda _: None)
-    folder = build.source_folder()
-    build.compiled(build.sources(folder), tmp_path / "firmware.so")
-    board = NativeBoard((tmp_path / "firmware.so").read_bytes())
-    board.power_on(sensor_us=0)
-    board.advance(2_000)
-    assert (board.memory.own_us, board.memory.resets) == (2_000, 0)
-    target = ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m4", "-c")
-    for file in sorted(folder.glob("*.c")):
-        build.compiled([file], tmp_path / f"{file.stem}.o", target)
