@@ -27,6 +27,14 @@ uint32_t hal_own_us(void) {
     return TIM5->CNT;
 }
 
+void hal_sync_pulse(void) { /* until the next tick */
+    GPIOA->BSRR = BIT(8);
+}
+
+void hal_shift_sensor(int32_t by_us) {
+    TIM2->CNT += (uint32_t)by_us;
+}
+
 /* Half and end of a ring passed since the last look are more than half a ring of edges, of which
  * some may have been written over. */
 static bool is_overrun(unsigned channel) {
@@ -115,6 +123,10 @@ void hal_send(const struct frame *frame) {
     }
     transmit();
     hal_unlock();
+}
+
+bool hal_is_all_sent(void) {
+    return sent == queued && FDCAN1->TXBRP == 0;
 }
 
 /* A controller that is off the bus comes back by itself once it is let: what waited is old then. */
