@@ -102,6 +102,6 @@ bool e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t ow
 void e2e_watch(struct e2e_channel *channel, uint32_t own_us) {
     if (channel->is_heard && own_us - channel->heard_us >= SILENCE_US) {
         channel->is_heard = false;
-        e2e_update(channel, E2E_NO_NEW_DATA, own_us);
+        (void)e2e_update(channel, E2E_NO_NEW_DATA, own_us);
     }
 }

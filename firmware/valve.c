@@ -76,10 +76,10 @@ void valve_on_time(void) {
 }
 
 static void command_valves(const struct frame *frame) {
-    struct valve_order orders[HAL_VALVES];
     enum e2e_status status =
         frames_check(&valve_channel, frame, ID_VALVE_COMMAND, LENGTH_VALVE_COMMAND);
     if (e2e_update(&valve_channel, status, hal_own_us())) {
+        struct valve_order orders[HAL_VALVES];
         frames_get_valve_command(frame, orders);
         valves_command(&valves, orders, hal_sensor_us(), hal_own_us());
     }

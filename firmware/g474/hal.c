@@ -2,6 +2,7 @@
 #include "../hal.h"
 
 #include "../board.h"
+#include "interrupts.h"
 #include "memory.h"
 #include "registers.h"
 
@@ -10,14 +11,17 @@ enum {
     QUEUE = 32      /* frames behind the three of the FDCAN */
 };
 
-volatile uint16_t edges_low_us[HAL_CHANNELS][RING], scans_raw[HAL_SCANS][TRANSMITTERS];
+volatile uint16_t edges_low_us[HAL_CHANNELS][RING];
+volatile uint16_t scans_raw[HAL_SCANS][TRANSMITTERS];
 volatile uint16_t levels_raw[HAL_WHEELS];
 volatile bool is_due;
 static uint16_t taken[HAL_CHANNELS]; /* where in the ring the next edge is taken */
 static uint8_t lost[HAL_WHEELS];
-static volatile bool is_scan, is_fed;
+static volatile bool is_scan;
+static volatile bool is_fed;
 static struct frame queue[QUEUE];
-static uint32_t queued, sent; /* frames since power-on */
+static uint32_t queued; /* frames since power-on */
+static uint32_t sent;
 
 uint32_t hal_sensor_us(void) {
     return TIM2->CNT;
@@ -38,7 +42,8 @@ void hal_shift_sensor(int32_t by_us) {
 /* Half and end of a ring passed since the last look are more than half a ring of edges, of which
  * some may have been written over. */
 static bool is_overrun(unsigned channel) {
-    uint32_t both = (BIT(1) | BIT(2)) << 4 * channel, passed = DMA1->ISR & both;
+    uint32_t both = (BIT(1) | BIT(2)) << 4 * channel;
+    uint32_t passed = DMA1->ISR & both;
     if (passed != 0) {
         DMA1->IFCR = passed;
     }
@@ -111,7 +116,8 @@ static void get_element(const struct can_element *element, struct frame *frame) 
 static void transmit(void) {
     while (sent != queued && !(FDCAN1->TXFQS & BIT(21))) {
         uint32_t place = FDCAN1->TXFQS >> 16 & 3;
-        put_element(&FDCAN1_RAM->tx[place], &queue[sent++ % QUEUE]);
+        put_element(&FDCAN1_RAM->tx[place], &queue[sent % QUEUE]);
+        sent++;
         FDCAN1->TXBAR = BIT(place);
     }
 }
@@ -119,7 +125,8 @@ static void transmit(void) {
 void hal_send(const struct frame *frame) {
     hal_lock();
     if (queued - sent < QUEUE) {
-        queue[queued++ % QUEUE] = *frame;
+        queue[queued % QUEUE] = *frame;
+        queued++;
     }
     transmit();
     hal_unlock();
@@ -204,15 +211,15 @@ void on_wake(void) {
 }
 
 void on_can(void) {
-    uint32_t events = FDCAN1->IR, status;
+    uint32_t events = FDCAN1->IR;
     struct frame frame;
     FDCAN1->IR = events;
-    while ((status = FDCAN1->RXF0S) & 15) {
+    for (uint32_t status = FDCAN1->RXF0S; (status & 15) != 0; status = FDCAN1->RXF0S) {
         get_element(&FDCAN1_RAM->rx0[status >> 8 & 3], &frame);
         FDCAN1->RXF0A = status >> 8 & 3;
         board_on_frame(&frame);
     }
-    if (events & BIT(19)) {
+    if ((events & BIT(19)) != 0) {
         board_on_time();
     }
     transmit();
