@@ -13,7 +13,7 @@ extern uint32_t _bss;
 extern uint32_t _bss_end;
 
 /* Compilers call these two for whole structures. */
-void *memcpy(void *restrict to, const void *restrict from, size_t count) {
+void *memcpy(void *to, const void *from, size_t count) {
     for (size_t i = 0; i < count; i++) {
         ((volatile uint8_t *)to)[i] = ((const uint8_t *)from)[i];
     }
