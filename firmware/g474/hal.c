@@ -15,7 +15,7 @@ volatile uint16_t levels_raw[HAL_WHEELS];
 volatile bool is_due;
 static uint16_t taken[HAL_CHANNELS]; /* where in the ring the next edge is taken */
 static uint8_t lost[HAL_WHEELS];
-static volatile bool is_scan, is_fed;
+static volatile bool is_scan, is_fed = true; /* not before the first tick: it has a window */
 static struct frame queue[QUEUE];
 static uint32_t queued, sent; /* frames since power-on */
 

@@ -64,7 +64,7 @@ static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg 
 
 static void count_microseconds(struct tim *tim) {
     tim->PSC = MHZ - 1;
-    tim->ARR = UINT32_MAX;
+    tim->ARR = tim == TIM2 || tim == TIM5 ? UINT32_MAX : UINT16_MAX; /* bits above are reserved */
     tim->EGR = BIT(0); /* the prescaler is taken over */
     tim->SR = 0;
 }

@@ -6,7 +6,7 @@ A voltage is given in steps of which 65,520 are full scale. A single conversion 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Final
 
 from meshpoint.testbench.firmware.cortex_m4.registers import Peripheral, Register, field
@@ -44,14 +44,16 @@ class Adc(Peripheral):
     def __init__(
         self,
         name: str,
-        voltage: Callable[[int], int],
+        pin_of: Callable[[int], tuple[str, int]],
+        voltages: Mapping[tuple[str, int], int],
         request: Callable[[Sequence[int]], bool],
         interrupt: Callable[[bool], None],
         has_clock: Callable[[], bool],
     ) -> None:
-        """voltage: of a channel. request: to DMA, for each value of DR. has_clock: of the ADCs."""
+        """pin_of: of a channel. voltages: at pins. request: to DMA, for each value of DR. has_clock: of the ADCs."""
         super().__init__(name)
-        self._voltage, self._request = voltage, request
+        self._pin_of, self._voltages, self._request = pin_of, voltages, request
+        self._sequence: list[tuple[str, int]] = []
         self._interrupt, self._has_clock = interrupt, has_clock
 
     def read(self, offset: int, now_us: int) -> int:
@@ -103,13 +105,16 @@ class Adc(Peripheral):
         self.value[CR] = state
         if value & ADEN:
             self.value[ISR] |= ADRDY
+        if value & ADSTART:
+            ranks = range(1, field(self.value[SQR1], 0, 4) + 2)
+            self._sequence = [self._pin_of(self._rank(rank)) for rank in ranks]
         if value & ADSTART and field(self.value[CFGR], 10, 2) == 0:
             self._convert()
             self.value[CR] &= ~ADSTART
 
     def _convert(self) -> None:
         """One sequence."""
-        values = [self._one(self._rank(i)) for i in range(1, field(self.value[SQR1], 0, 4) + 2)]
+        values = [self._one(self._voltages[pin]) for pin in self._sequence]
         self.value[DR] = values[-1]
         is_taken = bool(self.value[CFGR] & DMAEN) and self._request(values)
         if not is_taken:
@@ -122,8 +127,8 @@ class Adc(Peripheral):
         register, place = divmod(number, 5)
         return field(self.value[SQR1 + 4 * register], 6 * place, 5)
 
-    def _one(self, channel: int) -> int:
-        voltage, settings = self._voltage(channel), self.value[CFGR2]
+    def _one(self, voltage: int) -> int:
+        settings = self.value[CFGR2]
         if not settings & ROVSE:
             return voltage * 4095 // FULL_SCALE
         count = 2 << field(settings, 2, 3)

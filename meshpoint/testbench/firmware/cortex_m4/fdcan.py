@@ -6,15 +6,16 @@ processor has come to rest, so that a transmit FIFO can be full.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
-from typing import ClassVar, Final
+from typing import ClassVar, Final, NamedTuple
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.firmware.cortex_m4.registers import Peripheral, Register, field
 
 DBTP, CCCR, NBTP, ECR, PSR, TDCR = 0x0C, 0x18, 0x1C, 0x40, 0x44, 0x48
 IR, IE, ILS, ILE, RXGFC, RXF0S, RXF0A = 0x50, 0x54, 0x58, 0x5C, 0x80, 0x90, 0x94
-TXBC, TXFQS, TXBRP, TXBAR, TXBTO, CKDIV = 0xC0, 0xC4, 0xC8, 0xCC, 0xD4, 0x100
+TXBC, TXFQS, TXBRP, TXBAR, TXBTO, TXBTIE, CKDIV = 0xC0, 0xC4, 0xC8, 0xCC, 0xD4, 0xDC, 0x100
 INIT, CCE, FDOE, BRSE = 1, 2, 1 << 8, 1 << 9
 BUS_OFF: Final = 1 << 7
 RF0N, RF0F, RF0L, TC, TFE, BO = 1, 1 << 1, 1 << 2, 1 << 7, 1 << 9, 1 << 19
@@ -24,9 +25,10 @@ transmit FIFO, miscellaneous, bits and lines, protocol."""
 PROTECTED: Final = (DBTP, NBTP, TDCR, RXGFC, TXBC, CKDIV)
 """Written only while CCCR has INIT and CCE."""
 FIFO: Final = 3
-STANDARD_FILTERS, EXTENDED_FILTERS, RECEIVE_0, TRANSMIT = 0x000, 0x070, 0x0B0, 0x278
+RAM: Final = 0x4000_A400
+"""That of FDCAN1, at fixed places from here on."""
+EXTENDED_FILTERS, RECEIVE_0, TRANSMIT = RAM + 0x070, RAM + 0x0B0, RAM + 0x278
 ELEMENT: Final = 72
-RAM_BYTES: Final = 0x350
 XTD, RTR, FDF, BRS = 1 << 30, 1 << 29, 1 << 21, 1 << 20
 LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Of a frame, by its DLC (ISO 11898-1)."""
@@ -36,13 +38,15 @@ SAMPLE_POINT: Final = range(75, 89)
 RECOVERY_US: Final = 129 * 11 * 2
 """Bus-off is left after 129 times 11 recessive bits."""
 RANGE, DUAL, CLASSIC = 0, 1, 2
-TO_FIFO_0, REJECT = 1, 3
+TO_FIFO_0: Final = 1
+_HEAD: Final = struct.Struct("<2I")
 
 
-class MessageRam(Peripheral):
-    """The RAM of one controller, words of 32 bits at fixed places (chapter FDCAN, message RAM)."""
+class MessageRam(NamedTuple):
+    """The RAM that processor and controllers share (chapter FDCAN, message RAM), by addresses."""
 
-    TABLE: ClassVar = {4 * i: Register(f"word {i}") for i in range(RAM_BYTES // 4)}
+    load: Callable[[int, int], bytes]
+    store: Callable[[int, bytes], None]
 
 
 class Fdcan(Peripheral):
@@ -71,7 +75,7 @@ class Fdcan(Peripheral):
         0xD0: Register("TXBCR", 0),
         TXBTO: Register("TXBTO", 0),
         0xD8: Register("TXBCF", 0),
-        0xDC: Register("TXBTIE", 7),
+        TXBTIE: Register("TXBTIE", 7),
         CKDIV: Register("CKDIV", 0),
     }
 
@@ -111,16 +115,18 @@ class Fdcan(Peripheral):
         self._raise(RF0N | (RF0F if self._fill == FIFO else 0))
 
     def transmit(self) -> bool:
-        """Sends what is requested; whether there was something."""
+        """Sends what is requested, in the order of the FIFO; whether there was something."""
         if not self.value[TXBRP] or not self.is_on_bus:
             return False
-        buffer = self._send
-        self.sent.append(self._load(TRANSMIT + ELEMENT * buffer))
-        self._send = (buffer + 1) % FIFO
-        self.value[TXBRP] &= ~(1 << buffer)
-        self.value[TXBTO] |= 1 << buffer
-        is_complete = self.value[0xDC] >> buffer & 1
-        self._raise((TC if is_complete else 0) | (0 if self.value[TXBRP] else TFE))
+        flags = TFE
+        while self.value[TXBRP]:
+            buffer = self._send
+            self.sent.append(self._load(TRANSMIT + ELEMENT * buffer))
+            self._send = (buffer + 1) % FIFO
+            self.value[TXBRP] &= ~(1 << buffer)
+            self.value[TXBTO] |= 1 << buffer
+            flags |= TC if self.value[TXBTIE] >> buffer & 1 else 0
+        self._raise(flags)
         return True
 
     def go_bus_off(self) -> None:
@@ -224,7 +230,7 @@ class Fdcan(Peripheral):
                 raise self.error(RXGFC, "filters of 11 bits are not modelled")
             return field(settings, 4, 2) == 0
         for i in range(field(settings, 24, 4)):
-            first, second = (self._word(EXTENDED_FILTERS + 8 * i + 4 * j) for j in (0, 1))
+            first, second = _HEAD.unpack(self._ram.load(EXTENDED_FILTERS + _HEAD.size * i, _HEAD.size))
             if first >> 29 and _matches(first & 0x1FFF_FFFF, second, frame.can_id):
                 return first >> 29 == TO_FIFO_0
         return field(settings, 2, 2) == 0
@@ -234,28 +240,22 @@ class Fdcan(Peripheral):
         code = next(i for i, length in enumerate(LENGTHS) if length >= len(frame.data))
         identifier = frame.can_id | XTD if frame.is_extended else frame.can_id << 18
         formats = (FDF | BRS) if frame.is_fd else 0
-        data = frame.data.ljust(-(-LENGTHS[code] // 4) * 4, b"\0")
-        words = [identifier, code << 16 | formats]
-        words += [int.from_bytes(data[i : i + 4], "little") for i in range(0, len(data), 4)]
-        for i, word in enumerate(words):
-            self._ram.value[place + 4 * i] = word
+        data = frame.data.ljust(LENGTHS[code], b"\0")
+        self._ram.store(place, _HEAD.pack(identifier, code << 16 | formats) + data)
 
     def _load(self, place: int) -> Frame:
         """An element of the transmit FIFO."""
-        identifier, control = self._word(place), self._word(place + 4)
+        element = self._ram.load(place, ELEMENT)
+        identifier, control = _HEAD.unpack_from(element)
         is_fd = bool(control & FDF and self.value[CCCR] & FDOE)
         length = LENGTHS[min(field(control, 16, 4), 15 if is_fd else 8)]
         is_extended = bool(identifier & XTD)
         if identifier & RTR or is_fd != bool(control & BRS and self.value[CCCR] & BRSE):
             raise self.error(TXBAR, f"a frame of 0x{identifier:08X}, 0x{control:08X}: remote, or "
                                     "CAN FD without the bit rate switch of this bus")  # fmt: skip
-        words = (self._word(place + 8 + 4 * i) for i in range(-(-length // 4)))
-        data = b"".join(word.to_bytes(4, "little") for word in words)[:length]
         can_id = identifier & 0x1FFF_FFFF if is_extended else identifier >> 18 & 0x7FF
+        data = element[_HEAD.size : _HEAD.size + length]
         return Frame(can_id, data, is_fd, is_extended)
-
-    def _word(self, place: int) -> int:
-        return self._ram.value[place]
 
     def _raise(self, flags: int) -> None:
         self.value[IR] |= flags

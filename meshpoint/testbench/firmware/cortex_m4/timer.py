@@ -1,7 +1,7 @@
 """Timers (RM0440, chapters TIM2/TIM3/TIM4/TIM5 and TIM6/TIM7): counter, capture, compare, trigger.
 
-Counting up alone; no PWM, no preloaded compare value, no encoder, no capture prescaler. The input
-filter is taken as nothing. A compare value that equals the counter as it is written matches one
+Counting up alone; no PWM, no DMA but of captures, no preloaded compare value, no encoder, no capture
+prescaler. The input filter is taken as nothing. A compare value that equals the counter as it is written matches one
 period later: silicon may match at once, and code must not rely on it.
 """
 
@@ -16,7 +16,8 @@ CR1, CR2, SMCR, DIER, SR, EGR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
 CCMR1, CCMR2, CCER, CNT, PSC, ARR, CCR1 = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C, 0x34
 CEN, UDIS, URS, OPM = 1, 1 << 1, 1 << 2, 1 << 3
 UPDATE, TRIGGER = 1, 1 << 6
-UPDATE_DMA: Final = 1 << 8
+CAPTURE_DMA: Final = 1 << 8
+"""Of DIER, shifted by the unit."""
 ON_RESET, ON_ENABLE, ON_UPDATE = 0, 1, 2
 """What TRGO says: MMS of CR2."""
 TRIGGER_MODE: Final = 6
@@ -30,7 +31,7 @@ INTERRUPTS: Final = 0x5F
 BASIC: Final = {
     CR1: Register("CR1", 0x088F),
     CR2: Register("CR2", 0x70),
-    DIER: Register("DIER", 0x101),
+    DIER: Register("DIER", 1),
     SR: Register("SR", 1),
     EGR: Register("EGR", 1),
     CNT: Register("CNT", 0xFFFF),
@@ -44,8 +45,7 @@ class Wires(NamedTuple):
 
     interrupt: Callable[[bool], None]
     dma: Callable[[int, Sequence[int]], bool]
-    """A unit's request (0 is the update's), and what is in its register for each transfer.
-    Whether a channel took them."""
+    """A unit's request, for each value of its register. Whether a channel took them."""
     trigger: Callable[[int], None]
     """TRGO has risen, at this time in us."""
     output: Callable[[int, bool, int], None]
@@ -53,7 +53,7 @@ class Wires(NamedTuple):
 
 
 class Timer(Peripheral):
-    """A counter of 16 bits with one channel of interrupts and DMA: TIM6, TIM7."""
+    """A counter of 16 bits: TIM6, TIM7."""
 
     TABLE: ClassVar[Mapping[int, Register]] = BASIC
     UNITS: ClassVar[tuple[int, ...]] = ()
@@ -67,6 +67,8 @@ class Timer(Peripheral):
         self._prescaler = 0  # what PSC says counts from the next update on
         self.preset = 0
         """Added to the counter: a clock that began earlier than this timer."""
+        self._next_us: int | None = None
+        self._is_known = True  # whether _next_us is what comes of all that was written
 
     @property
     def is_running(self) -> bool:
@@ -80,17 +82,17 @@ class Timer(Peripheral):
     def show(self, count: int, now_us: int) -> None:
         """Makes the counter show this, without an event."""
         self.preset += count - self.count(now_us)
+        self._is_known = False
 
     @property
     def next_us(self) -> int | None:
-        """When something comes of a count: an interrupt, a request, a trigger, an output."""
-        if not self.value[CR1] & CEN:
-            return None
-        ticks = [self._next_tick(count) for count in self._awaited()]
-        if not ticks:
-            return None
-        counts, us = self._rate
-        return self._base_us + -(-min(ticks) * us // counts)
+        """When something comes of a count: an interrupt, a trigger, an output."""
+        if not self._is_known:
+            ticks = [self._next_tick(count) for count in self._awaited()]
+            counts, us = self._rate
+            self._next_us = self._base_us - (-min(ticks) * us // counts) if ticks else None
+            self._is_known = True
+        return self._next_us
 
     def read(self, offset: int, now_us: int) -> int:
         """CNT as it is; SR with all that has come."""
@@ -118,13 +120,15 @@ class Timer(Peripheral):
             if offset == ARR:
                 self._restart(self.count(now_us), now_us)
         self._update_line()
+        self._is_known = False
 
     def start(self, now_us: int) -> None:
         """The counter is enabled."""
         if self.is_running:
             return
-        self._restart(self._base, now_us)
+        self._restart(self.count(now_us), now_us)
         self.value[CR1] |= CEN
+        self._is_known = False
         if self._trigger_output == ON_ENABLE:
             self._wires.trigger(now_us)
 
@@ -133,6 +137,8 @@ class Timer(Peripheral):
         if not self.value[CR1] & CEN:
             return
         total = self._ticks(now_us)
+        if total == self._done:
+            return
         passed = [unit for unit in self._comparing() if self._next_tick(self._compare(unit)) <= total]
         updates = self._next_tick(0) <= total
         self._done = total
@@ -142,6 +148,8 @@ class Timer(Peripheral):
             self._update(now_us)
         if passed or updates:
             self._update_line()
+        self._is_known = False
+
 
     @property
     def _period(self) -> int:
@@ -170,11 +178,13 @@ class Timer(Peripheral):
 
     def _awaited(self) -> list[int]:
         """The counts of which something comes."""
+        if not self.value[CR1] & CEN:
+            return []
         enabled = self.value[DIER]
-        is_update = enabled & (UPDATE | UPDATE_DMA) or self._trigger_output == ON_UPDATE
+        is_update = enabled & UPDATE or self._trigger_output == ON_UPDATE
         awaited = [0] if is_update or self.value[CR1] & OPM else []
         for unit in self._comparing():
-            if enabled & (1 << unit | UPDATE_DMA << unit) or self._has_output(unit):
+            if enabled & 1 << unit or self._has_output(unit):
                 awaited.append(self._compare(unit))
         return awaited
 
@@ -209,8 +219,6 @@ class Timer(Peripheral):
         if self.value[CR1] & OPM and self.is_running:
             self.value[CR1] &= ~CEN
             self._restart(0, now_us)
-        if self.value[DIER] & UPDATE_DMA:
-            self._wires.dma(0, [self.value[ARR]])
         if self._trigger_output == ON_UPDATE:
             self._wires.trigger(now_us)
 
@@ -238,7 +246,7 @@ class GeneralTimer(Timer):
         CR1: Register("CR1", 0x0B8F),
         CR2: Register("CR2", 0xF8),
         SMCR: Register("SMCR", 0x0030_00F7),
-        DIER: Register("DIER", 0x5F5F),
+        DIER: Register("DIER", 0x1E5F),
         SR: Register("SR", FLAGS),
         EGR: Register("EGR", 0x5F),
         CCMR1: Register("CCMR1", 0x0101_FFFF),
@@ -335,7 +343,7 @@ class GeneralTimer(Timer):
     def _capture(self, unit: int, counts: Sequence[int]) -> None:
         flag, over = 1 << unit, 1 << unit + 8
         self.value[CCR1 + 4 * (unit - 1)] = counts[-1]
-        if self.value[DIER] & UPDATE_DMA << unit and self._wires.dma(unit, counts):
+        if self.value[DIER] & CAPTURE_DMA << unit and self._wires.dma(unit, counts):
             return  # DMA reads the register each time, which clears the flag
         if self.value[SR] & flag or len(counts) > 1:
             self.value[SR] |= over
@@ -352,8 +360,6 @@ class GeneralTimer(Timer):
 
     def _match(self, unit: int, now_us: int) -> None:
         self.value[SR] |= 1 << unit
-        if self.value[DIER] & UPDATE_DMA << unit:
-            self._wires.dma(unit, [self._compare(unit)])
         mode = self._mode(unit)
         if mode in (ACTIVE, INACTIVE, TOGGLE) and not self._selection(unit):
             self._drive(unit, mode == ACTIVE or (mode == TOGGLE and not self.is_high[unit]), now_us)
