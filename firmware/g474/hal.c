@@ -18,7 +18,7 @@ volatile bool is_due;
 static uint16_t taken[HAL_CHANNELS]; /* where in the ring the next edge is taken */
 static uint8_t lost[HAL_WHEELS];
 static volatile bool is_scan;
-static volatile bool is_fed;
+static volatile bool is_fed = true; /* until the first tick: the watchdog has a window */
 static struct frame queue[QUEUE];
 static uint32_t queued; /* frames since power-on */
 static uint32_t sent;

@@ -32,6 +32,7 @@ from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.firmware import build
+from meshpoint.testbench.firmware.board import Firmware
 from meshpoint.testbench.firmware.firmware_rig import FirmwareRig
 from meshpoint.testbench.firmware.native_board import NativeBoard
 from meshpoint.testbench.loop.setup import Setup
@@ -55,7 +56,7 @@ def test_every_frame_on_the_bus_is_the_same_with_the_firmware_and_without(
 ) -> None:
     """The sensor clock wraps in each run, and the valves are switched to the microsecond."""
     alone = Setup(SHEET, ControllerSettings(), seed=seed, shifts=1, profile=profile)
-    assert bus(replace(alone, has_firmware=True)) == bus(alone)
+    assert bus(replace(alone, firmware=Firmware.NATIVE)) == bus(alone)
 
 
 class Driven:

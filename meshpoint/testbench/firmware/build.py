@@ -68,6 +68,18 @@ def cross_compiler(name: str) -> list[str]:
     )
 
 
+def installed_cross_compiler() -> str:
+    """The first of CROSS_COMPILERS that is installed. CommandError where none is."""
+    for name in CROSS_COMPILERS:
+        with suppress(CommandError):
+            cross_compiler(name)
+            return name
+    raise CommandError(
+        "the board's images are built here, and there is no compiler for them: neither "
+        f"arm-none-eabi-gcc nor ziglang is installed; pip install 'meshpoint[{EXTRA}]'"
+    )
+
+
 def source_folder() -> Path:
     """Where the C sources are. CommandError where this installation has none, as a container's."""
     found = find_spec(PACKAGE)

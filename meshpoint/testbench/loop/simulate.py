@@ -18,9 +18,8 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ShiftOutcome
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.testbench.firmware.build import library, source_folder
+from meshpoint.testbench.firmware.boards import board_of
 from meshpoint.testbench.firmware.firmware_rig import FirmwareRig
-from meshpoint.testbench.firmware.native_board import NativeBoard
 from meshpoint.testbench.loop.bench import BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.bench_builder import virtual_bench
 from meshpoint.testbench.loop.pauses import pauses_of
@@ -182,8 +181,8 @@ def simulate(
 
     records, unwritten = Records(record or Path()), list[str]()
     node: Core = rig
-    if setup.has_firmware:
-        node = FirmwareRig(rig, NativeBoard(library(source_folder())))
+    if setup.firmware is not None:
+        node = FirmwareRig(rig, board_of(setup.firmware))
     bench = virtual_bench(
         setup, controller, node if apart is None else Elsewhere(), operator,
         on_frame=take, on_event=on_event, records=None if record is None else records,

@@ -25,6 +25,7 @@ from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.firmware.board import Firmware
 from meshpoint.testbench.firmware.firmware_rig import NOT_OF_THE_GEARBOX
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
@@ -154,17 +155,20 @@ def _add_firmware(parser: argparse.ArgumentParser) -> None:
     """--firmware."""
     parser.add_argument(
         "--firmware",
-        choices=("native",),
+        choices=tuple(Firmware),
         help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
-        "machine by its C compiler, or that of meshpoint[firmware]; --profile fd alone (default: "
-        "the rig's own board)",
+        "machine by its C compiler, or that of meshpoint[firmware]; cortex-m4: its linked image on "
+        "an emulated board, which meshpoint[firmware] brings; --profile fd alone (default: the "
+        "rig's own board)",
     )
 
 
-def _has_firmware(namespace: argparse.Namespace, faults: tuple[ScheduledFault, ...]) -> bool:
-    """Whether it is asked for; CommandError where the run is none for it."""
+def _firmware(
+    namespace: argparse.Namespace, faults: tuple[ScheduledFault, ...]
+) -> Firmware | None:
+    """As it is asked for; CommandError where the run is none for it."""
     if namespace.firmware is None:
-        return False
+        return None
     if arguments.wire_of(namespace) is WireProfile.CLASSIC:
         raise CommandError("--firmware speaks CAN FD alone: --profile classic, allowed is fd")
     for fault in faults:
@@ -174,7 +178,7 @@ def _has_firmware(namespace: argparse.Namespace, faults: tuple[ScheduledFault, .
                 f"--faults: found {found}, a fault of the board that --firmware stands in for; "
                 "allowed are faults of the gearbox and its sensors"
             )
-    return True
+    return Firmware(namespace.firmware)
 
 
 def _adapter(namespace: argparse.Namespace, sheet: GearboxSheet) -> AdapterProfile | None:
@@ -195,7 +199,7 @@ def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
         return None
     if setup.bus_load is not None:
         raise CommandError("--silkit: other nodes' frames (--bus-load) are not on its bus")
-    if setup.has_firmware:
+    if setup.firmware is not None:
         raise CommandError("--silkit: the rig's process there has no --firmware")
     from meshpoint.testbench.silkit.rig_apart import RigApart
 
@@ -310,7 +314,7 @@ def _setup(
         bus_load=namespace.bus_load,
         adapter=_adapter(namespace, sheet),
         bus_queue=QueueOrder(namespace.bus_queue),
-        has_firmware=_has_firmware(namespace, faults),
+        firmware=_firmware(namespace, faults),
     )
 
 
