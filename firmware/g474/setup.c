@@ -104,6 +104,7 @@ static void start_timers(void) {
     TIM2->CR2 = FIELD(1, 4);
     TIM6->ARR = 1000 - 1; /* a scan each millisecond */
     TIM6->CR2 = FIELD(2, 4);
+    TIM5->DIER = BIT(1) | BIT(2); /* two times at which to wake */
     TIM2->CR1 = BIT(0);
     TIM5->CR1 = BIT(0);
     TIM6->CR1 = BIT(0);
