@@ -120,7 +120,6 @@ class Processor:
         """A fault put in: the main loop does not go on, while interrupts are served."""
         self._pc = self._started_at = self._bad_address = 0
         self._exception, self._is_stopped = 0, False
-        self._error: RegisterError | None = None
 
     def reset(self, bus: Bus) -> None:
         """Begins at the reset vector. The memories keep what they have."""
@@ -174,11 +173,12 @@ class Processor:
             self.unicorn.emu_start(self._pc | 1, NOWHERE, count=BUDGET)
         except self._fault as error:
             fault = error.errno
+        except RegisterError as error:
+            self._core.load()
+            place = self._core.values[PC]
+            raise CommandError(f"firmware: {error}; near PC 0x{place:08X}") from error
         self._core.load()
         self._pc = self._core.values[PC]
-        if self._error is not None:
-            error_at, self._error = self._error, None
-            raise CommandError(f"{error_at}; near PC 0x{self._pc:08X}") from error_at
         if fault is not None or self._exception == IS_BREAKPOINT:
             self._take_fault(fault)
         elif self._exception == IS_EXIT:
@@ -225,7 +225,7 @@ class Processor:
             self._nvic.enter(number)
             self._go_to_handler(number, link)
             return
-        core[FRAME] = _FRAME.unpack(self.read_memory(core[SP], FRAME_BYTES))
+        core[FRAME] = list(_FRAME.unpack(self.read_memory(core[SP], FRAME_BYTES)))
         core[SP] += FRAME_BYTES + (4 if core[XPSR] & ALIGNED else 0)
         core[XPSR] &= ~ALIGNED
         self._pc = core[PC]
@@ -253,19 +253,10 @@ class Processor:
         self.unicorn.emu_stop()
 
     def _read(self, _uc: Any, offset: int, size: int, page: int) -> int:
-        try:
-            return self._bus.read(page + offset, size)
-        except RegisterError as error:
-            self._error = error
-            self.unicorn.emu_stop()
-            return 0
+        return self._bus.read(page + offset, size)
 
     def _write(self, _uc: Any, offset: int, size: int, value: int, page: int) -> None:
-        try:
-            self._bus.write(page + offset, size, value)
-        except RegisterError as error:
-            self._error = error
-            self.unicorn.emu_stop()
+        self._bus.write(page + offset, size, value)
         if self._nvic.due() or self._bus.reset_by:
             self._stop()
 

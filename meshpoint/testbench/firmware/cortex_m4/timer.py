@@ -1,8 +1,8 @@
 """Timers (RM0440, chapters TIM2/TIM3/TIM4/TIM5 and TIM6/TIM7): counter, capture, compare, trigger.
 
-Counting up alone; no PWM, no DMA but of captures, no preloaded compare value, no encoder, no capture
-prescaler. The input filter is taken as nothing. A compare value that equals the counter as it is written matches one
-period later: silicon may match at once, and code must not rely on it.
+Counting up alone; no PWM, no DMA but of captures, no preloaded compare value, no encoder, no
+capture prescaler. The input filter is taken as nothing. A compare value that equals the counter as
+it is written matches one period later: silicon may match at once, and code must not rely on it.
 """
 
 from __future__ import annotations
@@ -139,7 +139,9 @@ class Timer(Peripheral):
         total = self._ticks(now_us)
         if total == self._done:
             return
-        passed = [unit for unit in self._comparing() if self._next_tick(self._compare(unit)) <= total]
+        passed = [
+            unit for unit in self._comparing() if self._next_tick(self._compare(unit)) <= total
+        ]
         updates = self._next_tick(0) <= total
         self._done = total
         for unit in passed:
@@ -149,7 +151,6 @@ class Timer(Peripheral):
         if passed or updates:
             self._update_line()
         self._is_known = False
-
 
     @property
     def _period(self) -> int:
@@ -183,10 +184,11 @@ class Timer(Peripheral):
         enabled = self.value[DIER]
         is_update = enabled & UPDATE or self._trigger_output == ON_UPDATE
         awaited = [0] if is_update or self.value[CR1] & OPM else []
-        for unit in self._comparing():
-            if enabled & 1 << unit or self._has_output(unit):
-                awaited.append(self._compare(unit))
-        return awaited
+        return awaited + [
+            self._compare(unit)
+            for unit in self._comparing()
+            if enabled & 1 << unit or self._has_output(unit)
+        ]
 
     def _write_control(self, value: int, now_us: int) -> None:
         count, was_running = self.count(now_us), self.is_running
