@@ -11,7 +11,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 from firmware_bench import CommandBench
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import compiler, library, source_folder
+from meshpoint.testbench.firmware.build import (
+    CROSS_COMPILERS,
+    compiler,
+    cross_compiler,
+    image,
+    library,
+    source_folder,
+)
+from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.native_board import NativeBoard
 
 
@@ -33,3 +41,20 @@ def board(built: bytes) -> NativeBoard:
 @pytest.fixture
 def bench(board: NativeBoard) -> CommandBench:
     return CommandBench(board)
+
+
+@pytest.fixture(params=CROSS_COMPILERS)
+def cross(request: pytest.FixtureRequest) -> str:
+    """Each compiler for the board; skipped with the reason where it, or unicorn, is absent."""
+    pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
+    try:
+        cross_compiler(request.param)
+    except CommandError as error:
+        pytest.skip(str(error))
+    return str(request.param)
+
+
+@pytest.fixture
+def emulated(cross: str) -> EmulatedBoard:
+    """The image of both parts on the emulated board, by each compiler."""
+    return EmulatedBoard(image(source_folder(), "both", cross))

@@ -7,8 +7,8 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.firmware.board import Analogue
-from meshpoint.testbench.firmware.native_board import CHANGES, NativeBoard
+from meshpoint.testbench.firmware.board import Analogue, Board
+from meshpoint.testbench.firmware.native_board import CHANGES, Memory, NativeBoard
 
 VALVES = [name.removesuffix("_action") for name in ValveCommand._fields if "_action" in name]
 WRAP = 1 << 32
@@ -36,9 +36,8 @@ def command(orders: dict[str, Order]) -> ValveCommand:
 class CommandBench:
     """A board that has been switched on and heard three commands: it obeys the next one."""
 
-    def __init__(self, board: NativeBoard, sensor_us: int = 1_000_000) -> None:
+    def __init__(self, board: Board, sensor_us: int = 1_000_000) -> None:
         self.board = board
-        self.memory = board.memory
         self._sender = Transmitter(Node.TRANSMISSION_CONTROL)
         board.power_on(sensor_us)
         self.be_heard()
@@ -51,7 +50,13 @@ class CommandBench:
     @property
     def now_us(self) -> int:
         """The sensor clock."""
-        return self.memory.sensor_us
+        return self.board.sensor_us
+
+    @property
+    def memory(self) -> Memory:
+        """Of a native board."""
+        assert isinstance(self.board, NativeBoard)
+        return self.board.memory
 
     def valve_frame(self, **orders: Order) -> Frame:
         return self._sender.encode(command(orders))
@@ -67,7 +72,7 @@ class CommandBench:
 
     @property
     def driven(self) -> set[str]:
-        return names(self.memory.driven)
+        return names(self.board.driven)
 
     def switched(self) -> list[tuple[int, set[str]]]:
         """When the outputs were switched, and what was driven then; own time."""

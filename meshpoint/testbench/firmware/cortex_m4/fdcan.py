@@ -234,7 +234,7 @@ class Fdcan(Peripheral):
                 self._ram.load(EXTENDED_FILTERS + _HEAD.size * i, _HEAD.size)
             )
             if first >> 29 and _matches(first & 0x1FFF_FFFF, second, frame.can_id):
-                return first >> 29 == TO_FIFO_0
+                return bool(first >> 29 == TO_FIFO_0)
         return field(settings, 2, 2) == 0
 
     def _store(self, place: int, frame: Frame) -> None:
@@ -273,7 +273,6 @@ class Fdcan(Peripheral):
 
 def _matches(first: int, second: int, can_id: int) -> bool:
     """An extended filter: a range, two identifiers, or one with a mask."""
-    kind: int
     kind, second = second >> 30, second & 0x1FFF_FFFF
     if kind == DUAL:
         return can_id in (first, second)

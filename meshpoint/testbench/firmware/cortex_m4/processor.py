@@ -1,8 +1,10 @@
 """The Cortex-M4: instructions by unicorn, exceptions as ARMv7-M takes them (B1.5.6 to B1.5.8).
 
 Unicorn knows the instructions of an M-profile processor, and no exception of it: what is pushed,
-where the handler is and how it returns is done here. Code takes no time: one that goes on for
-`BUDGET` instructions without sleeping waits for something, and time has to go on for it.
+where the handler is and how it returns is done here. One that the code itself has made pending
+comes at the next ISB, as it lets interrupts in, sleeps, or returns from a handler. Code takes no
+time: one that goes on for `BUDGET` instructions without sleeping waits for something, and time has
+to go on for it.
 Not modelled: process stack, floating point registers, BASEPRI, FAULTMASK, memory protection, the
 fault of a misaligned LDM or LDRD.
 """
@@ -54,8 +56,8 @@ FRAME_BYTES: Final = 32
 THUMB: Final = 1 << 24
 NO_MEMORY: Final = 0x1F00_0000
 WFI: Final = b"\x30\xbf"
-CPSIE: Final = b"\x62\xb6"
-MSR_PRIMASK: Final = b"\x10\x88"
+LETS_IN: Final = (b"\x62\xb6", b"\x10\x88", b"\x6f\x8f")
+"""CPSIE i, and the ends of MSR PRIMASK and ISB."""
 IS_EXIT, IS_BREAKPOINT, IS_SVC = 8, 7, 2
 _FRAME: Final = struct.Struct("<8I")
 
@@ -112,19 +114,18 @@ class Processor:
             self.unicorn.mem_write(address, content)
             self.unicorn.mem_write(address - FLASH.start, content)
             self._wakes_at |= {address + place for place in _behind(content, WFI)}
-            for place in _behind(content, CPSIE) + _behind(content, MSR_PRIMASK):
-                self.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._on_unmasked,
+            for place in (place for code in LETS_IN for place in _behind(content, code)):
+                self.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._on_let_in,
                                       begin=address + place, end=address + place)  # fmt: skip
         self.state = State.RUNS
-        self.is_stuck = False
-        """A fault put in: the main loop does not go on, while interrupts are served."""
+        self._is_stuck = False
         self._pc = self._started_at = self._bad_address = 0
         self._exception, self._is_stopped = 0, False
 
     def reset(self, bus: Bus) -> None:
         """Begins at the reset vector. The memories keep what they have."""
         self._bus, self._nvic = bus, bus.nvic
-        self.state, self.is_stuck = State.RUNS, False
+        self.state, self._is_stuck = State.RUNS, False
         stack, entry = struct.unpack("<2I", self.read_memory(self._nvic.vector(0), 8))
         values = self._core.values
         values[LR], values[XPSR], values[SP], values[PRIMASK] = WORD, THUMB, stack & ~3, 0
@@ -142,12 +143,19 @@ class Processor:
                 self.state = State.RUNS  # with PRIMASK set it wakes as well, and serves nothing
             if number and (number <= HARD_FAULT or not self._core.values[PRIMASK]):
                 self._enter(number)
-            elif self.state is State.SLEEPS or (self.is_stuck and not self._nvic.active):
+            elif self.state is State.SLEEPS or (self._is_stuck and not self._nvic.active):
                 return
             self._go()
             if self.state is State.SPINS:
                 self.state = State.RUNS
-                return
+                if not self._nvic.due() or self._core.values[PRIMASK]:
+                    return
+
+    def stick(self, is_stuck: bool) -> None:
+        """A fault put in: the main loop does not go on, and lets interrupts in."""
+        self._is_stuck = is_stuck
+        self._core.values[PRIMASK] = 0
+        self._core.store()
 
     def fault(self) -> None:
         """A fault put in: the processor reads an instruction where there is none."""
@@ -257,7 +265,7 @@ class Processor:
 
     def _write(self, _uc: Any, offset: int, size: int, value: int, page: int) -> None:
         self._bus.write(page + offset, size, value)
-        if self._nvic.due() or self._bus.reset_by:
+        if self._bus.reset_by:  # not for an exception: the instruction would be done a second time
             self._stop()
 
     def _on_exception(self, _uc: Any, number: int, _data: Any) -> None:
@@ -268,8 +276,8 @@ class Processor:
         self._bad_address = address
         return False
 
-    def _on_unmasked(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
-        """Behind an instruction that lets interrupts in: what waits comes now."""
+    def _on_let_in(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
+        """Behind an instruction that lets exceptions in: what waits comes now."""
         if address != self._started_at and self._nvic.due():
             self._stop()
 
