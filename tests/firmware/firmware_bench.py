@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import pytest
+
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Analogue, Board
+from meshpoint.testbench.firmware.build import image, source_folder
+from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.native_board import CHANGES, Memory, NativeBoard
 
 VALVES = [name.removesuffix("_action") for name in ValveCommand._fields if "_action" in name]
@@ -31,6 +36,16 @@ def command(orders: dict[str, Order]) -> ValveCommand:
         action, time_us = order if isinstance(order, tuple) else (order, 0)
         fields |= {f"{name}_action": action, f"{name}_time_us": time_us % WRAP}
     return ValveCommand(**fields)
+
+
+def emulated_board(by: str) -> EmulatedBoard:
+    """One with the image of both parts, by a compiler; skips with the reason where that, or
+    unicorn, is not installed."""
+    pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
+    try:
+        return EmulatedBoard(image(source_folder(), "both", by))
+    except CommandError as error:
+        pytest.skip(str(error))
 
 
 class CommandBench:

@@ -50,5 +50,5 @@ def test_a_fault_in_the_fault_handler_is_the_end_until_a_reset(cross: str) -> No
 
 
 def test_a_peripheral_without_its_clock_is_an_error_that_names_it(cross: str) -> None:
-    with pytest.raises(CommandError, match=r"TIM2: .* bit 0 of RCC\.APB1ENR1; near PC 0x0800"):
+    with pytest.raises(CommandError, match=r"TIM2: .* bit 0 of RCC\.APB1ENR1; at PC 0x0800"):
         Program("faults", cross, 4)

@@ -37,6 +37,7 @@ from meshpoint.testbench.firmware.cortex_m4.nvic import (
     USAGE_FAULT,
     Nvic,
 )
+from meshpoint.testbench.firmware.cortex_m4.register_pages import map_registers
 from meshpoint.testbench.firmware.cortex_m4.registers import WORD, RegisterError
 
 FLASH: Final = range(0x0800_0000, 0x0808_0000)
@@ -102,9 +103,9 @@ class Processor:
         )  # fmt: skip
         for memory in MEMORIES:
             self.unicorn.mem_map(memory.start, len(memory))
-        for page in pages:
-            self.unicorn.mmio_map(page.start, len(page), self._read, page.start, self._write,
-                                  page.start)  # fmt: skip
+        self._callbacks = [
+            map_registers(self.unicorn, page, self._read, self._write) for page in pages
+        ]
         self._core = CoreRegisters(self.unicorn)
         self._wakes_at: set[int] = set()  # behind each WFI
         self._handlers: dict[int, int] = {}
@@ -121,11 +122,12 @@ class Processor:
         self._is_stuck = False
         self._pc = self._started_at = self._bad_address = 0
         self._exception, self._is_stopped = 0, False
+        self._error: RegisterError | None = None
 
     def reset(self, bus: Bus) -> None:
         """Begins at the reset vector. The memories keep what they have."""
         self._bus, self._nvic = bus, bus.nvic
-        self.state, self._is_stuck = State.RUNS, False
+        self.state, self._is_stuck, self._error = State.RUNS, False, None
         stack, entry = struct.unpack("<2I", self.read_memory(self._nvic.vector(0), 8))
         values = self._core.values
         values[LR], values[XPSR], values[SP], values[PRIMASK] = WORD, THUMB, stack & ~3, 0
@@ -181,12 +183,10 @@ class Processor:
             self.unicorn.emu_start(self._pc | 1, NOWHERE, count=BUDGET)
         except self._fault as error:
             fault = error.errno
-        except RegisterError as error:
-            self._core.load()
-            place = self._core.values[PC]
-            raise CommandError(f"firmware: {error}; near PC 0x{place:08X}") from error
         self._core.load()
         self._pc = self._core.values[PC]
+        if self._error is not None:
+            raise CommandError(f"firmware: {self._error}; at PC 0x{self._pc:08X}")
         if fault is not None or self._exception == IS_BREAKPOINT:
             self._take_fault(fault)
         elif self._exception == IS_EXIT:
@@ -260,13 +260,24 @@ class Processor:
         self._is_stopped = True
         self.unicorn.emu_stop()
 
-    def _read(self, _uc: Any, offset: int, size: int, page: int) -> int:
-        return self._bus.read(page + offset, size)
+    def _read(self, address: int, size: int) -> int:
+        try:
+            return self._bus.read(address, size)
+        except RegisterError as error:
+            self._refuse(error)
+            return 0
 
-    def _write(self, _uc: Any, offset: int, size: int, value: int, page: int) -> None:
-        self._bus.write(page + offset, size, value)
+    def _write(self, address: int, size: int, value: int) -> None:
+        try:
+            self._bus.write(address, size, value)
+        except RegisterError as error:
+            self._refuse(error)
         if self._bus.reset_by:  # not for an exception: the instruction would be done a second time
             self._stop()
+
+    def _refuse(self, error: RegisterError) -> None:
+        self._error = self._error or error
+        self._stop()
 
     def _on_exception(self, _uc: Any, number: int, _data: Any) -> None:
         self._exception = number

@@ -26,6 +26,7 @@ UNITS: Final = (1, 2, 3, 4)
 DIRECT, INDIRECT = 1, 2
 """CCxS: a unit captures its own input, or that of its neighbour."""
 ACTIVE, INACTIVE, TOGGLE, FORCE_INACTIVE, FORCE_ACTIVE = 1, 2, 3, 4, 5
+COMPARE_VALUES: Final = tuple(CCR1 + 4 * i for i in range(len(UNITS)))
 FLAGS: Final = 0x1E5F
 INTERRUPTS: Final = 0x5F
 BASIC: Final = {
@@ -68,6 +69,7 @@ class Timer(Peripheral):
         self.preset = 0
         """Added to the counter: a clock that began earlier than this timer."""
         self._next_us: int | None = None
+        self._is_line_high = False
         self._is_known = True  # whether _next_us is what comes of all that was written
 
     @property
@@ -225,7 +227,10 @@ class Timer(Peripheral):
             self._wires.trigger(now_us)
 
     def _update_line(self) -> None:
-        self._wires.interrupt(bool(self.value[SR] & self.value[DIER] & INTERRUPTS))
+        is_high = bool(self.value[SR] & self.value[DIER] & INTERRUPTS)
+        if is_high != self._is_line_high:
+            self._is_line_high = is_high
+            self._wires.interrupt(is_high)
 
     def _comparing(self) -> list[int]:
         """The units that compare, none here."""
@@ -282,6 +287,8 @@ class GeneralTimer(Timer):
 
     def read(self, offset: int, now_us: int) -> int:
         """Reading what was captured clears its flag."""
+        if offset == CNT:
+            return self.count(now_us)
         value = super().read(offset, now_us)
         unit = (offset - CCR1) // 4 + 1
         if unit in UNITS and self._input(unit):
@@ -291,6 +298,11 @@ class GeneralTimer(Timer):
 
     def write(self, offset: int, value: int, now_us: int) -> None:
         """RegisterError where a mode is asked for that is not modelled."""
+        if offset in COMPARE_VALUES:
+            self.step(now_us)
+            self.value[offset] = value & self._mask
+            self._is_known = False
+            return
         super().write(offset, value, now_us)
         if offset in (CCMR1, CCMR2):
             self._check_modes(offset)
