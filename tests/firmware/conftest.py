@@ -8,11 +8,20 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from firmware_bench import CommandBench
+from firmware_bench import CommandBench, emulated_board
 from two_boards import TwoBoards
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import IMAGES, compiler, library, source_folder
+from meshpoint.testbench.firmware.build import (
+    CROSS_COMPILERS,
+    IMAGES,
+    compiler,
+    cross_compiler,
+    installed_cross_compiler,
+    library,
+    source_folder,
+)
+from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.native_board import NativeBoard
 
 
@@ -38,12 +47,33 @@ def board(built: bytes) -> NativeBoard:
 
 
 @pytest.fixture
+def bench(board: NativeBoard) -> CommandBench:
+    return CommandBench(board)
+
+
+@pytest.fixture
 def boards(folder: Path) -> TwoBoards:
     """A sensor board and a valve board that share its clock by a wire."""
     sensor, valve = (library(folder, IMAGES[name]) for name in ("sensor", "valve"))
     return TwoBoards(NativeBoard(sensor), NativeBoard(valve))
 
 
+@pytest.fixture(params=CROSS_COMPILERS)
+def cross(request: pytest.FixtureRequest) -> str:
+    """Each compiler for the board; skipped with the reason where it, or unicorn, is absent."""
+    pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
+    try:
+        cross_compiler(request.param)
+    except CommandError as error:
+        pytest.skip(str(error))
+    return str(request.param)
+
+
 @pytest.fixture
-def bench(board: NativeBoard) -> CommandBench:
-    return CommandBench(board)
+def emulated() -> EmulatedBoard:
+    """The emulated board, by whichever compiler there is; skipped where there is none."""
+    pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
+    try:
+        return emulated_board(installed_cross_compiler())
+    except CommandError as error:
+        pytest.skip(str(error))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import pytest
+
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.firmware.board import Analogue
-from meshpoint.testbench.firmware.native_board import CHANGES, NativeBoard
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.firmware.board import Analogue, Board
+from meshpoint.testbench.firmware.build import image, source_folder
+from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.testbench.firmware.native_board import CHANGES, Memory, NativeBoard
 
 VALVES = [name.removesuffix("_action") for name in ValveCommand._fields if "_action" in name]
 WRAP = 1 << 32
@@ -33,12 +38,21 @@ def command(orders: dict[str, Order]) -> ValveCommand:
     return ValveCommand(**fields)
 
 
+def emulated_board(by: str) -> EmulatedBoard:
+    """One with the image of both parts, by a compiler; skips with the reason where that, or
+    unicorn, is not installed."""
+    pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
+    try:
+        return EmulatedBoard(image(source_folder(), "both", by))
+    except CommandError as error:
+        pytest.skip(str(error))
+
+
 class CommandBench:
     """A board that has been switched on and heard three commands: it obeys the next one."""
 
-    def __init__(self, board: NativeBoard, sensor_us: int = 1_000_000) -> None:
+    def __init__(self, board: Board, sensor_us: int = 1_000_000) -> None:
         self.board = board
-        self.memory = board.memory
         self._sender = Transmitter(Node.TRANSMISSION_CONTROL)
         board.power_on(sensor_us)
         self.be_heard()
@@ -51,7 +65,13 @@ class CommandBench:
     @property
     def now_us(self) -> int:
         """The sensor clock."""
-        return self.memory.sensor_us
+        return self.board.sensor_us
+
+    @property
+    def memory(self) -> Memory:
+        """Of a native board."""
+        assert isinstance(self.board, NativeBoard)
+        return self.board.memory
 
     def valve_frame(self, **orders: Order) -> Frame:
         return self._sender.encode(command(orders))
@@ -67,7 +87,7 @@ class CommandBench:
 
     @property
     def driven(self) -> set[str]:
-        return names(self.memory.driven)
+        return names(self.board.driven)
 
     def switched(self) -> list[tuple[int, set[str]]]:
         """When the outputs were switched, and what was driven then; own time."""

@@ -5,17 +5,23 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
 
 import pytest
-from firmware_bench import VALVES, WRAP, CommandBench, Order
+from firmware_bench import VALVES, WRAP, CommandBench, Order, emulated_board
 from two_boards import TwoBoards
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ValveAction
+from meshpoint.testbench.firmware.board import Failure
+from meshpoint.testbench.firmware.build import CROSS_COMPILERS
+from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 
 OFF_US = 101_000
 ENDS = ("silence", "reset", "bus-off", "garbage", "clock jump", "stuck main loop", "deaf", "fault")
+FAILURES = {"bus-off": Failure.BUS_OFF, "stuck main loop": Failure.STUCK, "deaf": Failure.DEAF,
+            "fault": Failure.FAULT}  # fmt: skip
+RECOVERY_US = 5_000
+"""Until a CAN controller is on its bus again."""
 
 
 def orders(rng: random.Random, now_us: int) -> dict[str, Order]:
@@ -35,76 +41,86 @@ def garbage(rng: random.Random, frame: Frame) -> Frame:
     return frame._replace(data=bytes(data))
 
 
-def end(rng: random.Random, bench: Any, how: str) -> None:
+def end(rng: random.Random, bench: CommandBench, how: str) -> None:
     """Ends the commands."""
-    memory = bench.memory
-    match how:
-        case "reset":
-            bench.board.power_on(memory.sensor_us)
-        case "bus-off":
-            memory.is_bus_off = True
-        case "clock jump":
-            memory.sensor_us = rng.randrange(WRAP)
-        case "stuck main loop":
-            memory.is_stuck = True
-        case "deaf":
-            memory.is_deaf = True
-        case "fault":
-            bench.board.code.board_on_fault()
-        case "wire cut":
-            bench.is_wired = False
+    if how == "reset":
+        bench.board.power_on(bench.now_us)
+    elif how == "clock jump":
+        bench.board.set_sensor_us(rng.randrange(WRAP))
+    elif how == "wire cut" and isinstance(bench, TwoBoards):
+        bench.is_wired = False
+    elif how in FAILURES:
+        bench.board.fail(FAILURES[how])
 
 
-def go_through(rng: random.Random, bench: CommandBench, how: str) -> bool:
-    """One moment; whether anything was driven before it was over."""
+def go_through(rng: random.Random, bench: CommandBench, how: str, after_us: int) -> bool:
+    """One moment, and how long it stays so; whether anything was driven before it was over."""
     for _ in range(rng.randint(3, 8)):
         bench.command(**orders(rng, bench.now_us))
         if rng.random() < 0.9:
             bench.wait(rng.randint(1, 12_000))
     bench.command(**orders(rng, bench.now_us))
-    last_us = bench.memory.own_us
+    last_us = bench.board.own_us
     if rng.random() < 0.8:
         bench.wait(rng.randint(0, 40_000))
     was_driven = bool(bench.driven)
     end(rng, bench, how)
-    while bench.memory.own_us - last_us < OFF_US:
-        left_us = OFF_US - (bench.memory.own_us - last_us)
+    while bench.board.own_us - last_us < OFF_US:
+        left_us = OFF_US - (bench.board.own_us - last_us)
         bench.wait(min(left_us, rng.randint(1, 20_000)))
         if how == "garbage":
             bench.board.receive(garbage(rng, bench.valve_frame()))
     assert bench.driven == set(), how
-    bench.wait(rng.randint(0, 200_000))
+    bench.wait(rng.randint(0, after_us))
     assert bench.driven == set(), how
-    assert bench.memory.coils_together == 0
+    assert bench.board.coils_together == 0
     return was_driven
 
 
-def go_through_all(bench: CommandBench, ends: Sequence[str], times: int) -> None:
+def go_through_all(
+    bench: CommandBench, moments: int, after_us: int = 200_000, ends: Sequence[str] = ENDS
+) -> None:
     rng, driven = random.Random(48), Counter[str]()
-    for number in range(times):
+    for number in range(moments):
         how = ends[number % len(ends)]
-        driven[how] += go_through(rng, bench, how)
-        bench.memory.is_bus_off = bench.memory.is_stuck = bench.memory.is_deaf = False
+        driven[how] += go_through(rng, bench, how, after_us)
+        bench.board.mend()
+        bench.wait(RECOVERY_US)
         bench.be_heard()
-    assert all(driven[how] > times // len(ends) // 3 for how in ends), driven
+    assert all(driven[how] > moments // len(ends) // 3 for how in ends), driven
 
 
 def test_every_valve_is_off_within_101_ms_in_10_000_random_moments(bench: CommandBench) -> None:
-    go_through_all(bench, ENDS, 10_000)
+    go_through_all(bench, 10_000)
 
 
 def test_every_valve_of_a_board_without_sensors_is_off_as_well(boards: TwoBoards) -> None:
-    go_through_all(boards, (*ENDS, "wire cut"), 450)
+    go_through_all(boards, 450, ends=(*ENDS, "wire cut"))
+
+
+def test_the_emulated_board_is_as_safe_in_some_of_them(emulated: EmulatedBoard) -> None:
+    go_through_all(CommandBench(emulated), 240, after_us=1_000)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("by", CROSS_COMPILERS)
+def test_the_emulated_board_is_as_safe_in_all_of_them(by: str) -> None:
+    go_through_all(CommandBench(emulated_board(by)), 10_000)
 
 
 @pytest.mark.parametrize("dead_us", [100, 50_000, 98_000])
+@pytest.mark.parametrize("kind", ["board", "emulated"])
 def test_a_board_that_is_dead_altogether_is_off_2_ms_later(
-    bench: CommandBench, dead_us: int
+    request: pytest.FixtureRequest, kind: str, dead_us: int
 ) -> None:
     """Main loop and interrupts: then the watchdog alone is left."""
+    bench = CommandBench(request.getfixturevalue(kind))
+    bench.wait(1_000)
     bench.command(brake=ValveAction.ON_NOW)
     bench.wait(dead_us)
-    bench.memory.is_stuck = bench.memory.is_deaf = True
+    bench.board.fail(Failure.STUCK)
+    bench.board.fail(Failure.DEAF)
+    assert bench.driven == {"brake"}
     bench.wait(2_000)
     assert bench.driven == set()
-    assert bench.memory.resets == 1
+    assert bench.board.resets == 1

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from meshpoint.testbench.firmware.board import Board, Firmware
-from meshpoint.testbench.firmware.build import image, installed_cross_compiler, library, source_folder
+from meshpoint.testbench.firmware.build import (
+    image,
+    installed_cross_compiler,
+    library,
+    source_folder,
+)
 from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.native_board import NativeBoard
 

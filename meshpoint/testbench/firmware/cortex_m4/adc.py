@@ -1,7 +1,7 @@
 """Analogue inputs (RM0440, chapter ADC): regular sequences, triggered, oversampled, by DMA.
 
-A voltage is given in steps of which 65,520 are full scale. A single conversion has 12 bits of it; of
-2^n summed ones the noise of a real input is taken to spread the sum evenly, so that it is exact.
+A voltage is given in steps of which 65,520 are full scale. A single conversion has 12 bits of it;
+the sum of several is taken to be exact, as the noise of a real input spreads it evenly.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Adc(Peripheral):
         interrupt: Callable[[bool], None],
         has_clock: Callable[[], bool],
     ) -> None:
-        """pin_of: of a channel. voltages: at pins. request: to DMA, for each value of DR. has_clock: of the ADCs."""
+        """pin_of: of a channel. voltages: at pins. request: to DMA, for each value of DR.
+        has_clock: whether the ADCs have one."""
         super().__init__(name)
         self._pin_of, self._voltages, self._request = pin_of, voltages, request
         self._sequence: list[tuple[str, int]] = []

@@ -7,7 +7,7 @@ Memory map, requests, interrupts and triggers: RM0440, chapters on memory, DMAMU
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from meshpoint.testbench.firmware.cortex_m4.adc import Adc, AdcCommon
 from meshpoint.testbench.firmware.cortex_m4.dma import CHANNELS, Dma, Dmamux
@@ -87,6 +87,17 @@ ADC_PINS: Final = {
 }  # fmt: skip
 
 
+class Clocked(Protocol):
+    """A peripheral that does something by itself."""
+
+    @property
+    def next_us(self) -> int | None:
+        """When; None where it does not."""
+
+    def step(self, now_us: int) -> None:
+        """It is time."""
+
+
 class Outside(NamedTuple):
     """What the chip has to do with beyond its pins."""
 
@@ -127,7 +138,7 @@ class Chip:
             "FDCAN1", MessageRam(outside.load, outside.store), lambda: self.rcc.fdcan_hz,
             lambda line, is_high: self.nvic.line(FDCAN_INTERRUPTS[line], is_high),
         )  # fmt: skip
-        self._clocked = (systick, self.iwdg, self.fdcan, *self.timers.values())
+        self._clocked: tuple[Clocked, ...] = (systick, self.iwdg, self.fdcan, *self.timers.values())
         self._map = self._places()
         self._found: dict[int, tuple[Peripheral, int]] = {}
 
@@ -267,7 +278,9 @@ class Chip:
         register 0 where it always has one."""
         found: dict[int, tuple[Peripheral, int, int, int]] = {}
 
-        def at(peripheral: Peripheral, base: int, size: int, register: int = 0, bit: int = 0) -> None:
+        def at(
+            peripheral: Peripheral, base: int, size: int, register: int = 0, bit: int = 0
+        ) -> None:
             for step in range(base >> 8, base + size + 0xFF >> 8):
                 found[step] = peripheral, base, register, bit
 

@@ -37,7 +37,8 @@ AWAY_US: Final = 1_000_000
 class EmulatedBoard:
     """As `Board`. CommandError where the image uses a register as it must not be used."""
 
-    def __init__(self, elf: bytes) -> None:
+    def __init__(self, elf: bytes, *, is_free: bool = False) -> None:
+        """elf: the image. is_free: TIM6 triggers the scans as it comes round, and not `read`."""
         self.processor = Processor(segments(elf), PAGES)
         self.is_on = False
         self.resets = self.coils_together = self.own_us = self.driven = 0
@@ -46,12 +47,13 @@ class EmulatedBoard:
         """Own time in us and the valves driven, as they were switched."""
         self.outputs: list[tuple[int, tuple[str, int], bool]] = []
         """As timers have switched pins: own time in us, port and pin, level."""
-        self._voltages = dict.fromkeys(WHEEL_LEVELS, LOWEST)
+        self.voltages = dict.fromkeys(WHEEL_LEVELS, LOWEST)
+        """At port and pin, 65,520 is full scale; of the wheels' lines, good ones."""
         self._preset = 0
         self._is_bus_dead = False
         self._outside = Outside(
-            self.processor.read_memory, self.processor.write_memory, self._voltages, self._on_output, self._on_timer,
-            is_free=False,
+            self.processor.read_memory, self.processor.write_memory, self.voltages,
+            self._on_output, self._on_timer, is_free,
         )  # fmt: skip
         self.chip = Chip(self._outside, 0, PIN_RESET | BROWN_OUT_RESET)
 
@@ -94,11 +96,11 @@ class EmulatedBoard:
     def read(self, analogue: Analogue) -> None:
         """Ten scans, the oldest first, each by a trigger of the ADCs."""
         for pin, value, (low, high) in zip(SLOW, analogue.slow, RANGES, strict=True):
-            self._voltages[pin] = _voltage(value, low, high)
+            self.voltages[pin] = _voltage(value, low, high)
         for samples in zip(*(reversed(each) for each in analogue.sleeves), strict=True):
             for place, um in enumerate(samples):
                 is_bad = analogue.bad_sleeves >> place & 1
-                self._voltages[SLEEVES[place]] = BROKEN if is_bad else _voltage(um, *SLEEVE_RANGE)
+                self.voltages[SLEEVES[place]] = BROKEN if is_bad else _voltage(um, *SLEEVE_RANGE)
             self.chip.scan()
         self._run()
 
@@ -120,7 +122,7 @@ class EmulatedBoard:
             self.chip.fdcan.go_bus_off()
             self._run()
         elif failure is Failure.STUCK:
-            self.processor.is_stuck = True
+            self.processor.stick(True)
         elif failure is Failure.DEAF:
             self.chip.nvic.is_deaf = True
         else:
@@ -130,7 +132,8 @@ class EmulatedBoard:
     def mend(self) -> None:
         """The bus is whole, and main loop and interrupts go on."""
         self._is_bus_dead = self.chip.fdcan.is_bus_dead = False
-        self.chip.nvic.is_deaf = self.processor.is_stuck = False
+        self.chip.nvic.is_deaf = False
+        self.processor.stick(False)
         self._run()
 
     def _reset(self, why: int) -> None:

@@ -1,7 +1,7 @@
 """The CAN FD controller (RM0440, chapter FDCAN): frames in and out, message RAM, bus-off.
 
-A frame takes no time on its bus: the bus of the bench gives it one. What is requested is sent as the
-processor has come to rest, so that a transmit FIFO can be full.
+A frame takes no time on its bus: the bus of the bench gives it one. What is requested is sent as
+the processor has come to rest, so that a transmit FIFO can be full.
 """
 
 from __future__ import annotations
@@ -230,9 +230,11 @@ class Fdcan(Peripheral):
                 raise self.error(RXGFC, "filters of 11 bits are not modelled")
             return field(settings, 4, 2) == 0
         for i in range(field(settings, 24, 4)):
-            first, second = _HEAD.unpack(self._ram.load(EXTENDED_FILTERS + _HEAD.size * i, _HEAD.size))
+            first, second = _HEAD.unpack(
+                self._ram.load(EXTENDED_FILTERS + _HEAD.size * i, _HEAD.size)
+            )
             if first >> 29 and _matches(first & 0x1FFF_FFFF, second, frame.can_id):
-                return first >> 29 == TO_FIFO_0
+                return bool(first >> 29 == TO_FIFO_0)
         return field(settings, 2, 2) == 0
 
     def _store(self, place: int, frame: Frame) -> None:
@@ -275,5 +277,5 @@ def _matches(first: int, second: int, can_id: int) -> bool:
     if kind == DUAL:
         return can_id in (first, second)
     if kind == CLASSIC:
-        return can_id & second == first & second
+        return (can_id ^ first) & second == 0
     return first <= can_id <= second

@@ -28,7 +28,7 @@ ENABLED_IN_SHCSR: Final = {MEMORY_FAULT: 1 << 16, BUS_FAULT: 1 << 17, USAGE_FAUL
 
 
 def _banks() -> dict[int, Register]:
-    table = {}
+    table: dict[int, Register] = {}
     for base, name in ((ISER, "ISER"), (ICER, "ICER"), (ISPR, "ISPR"), (ICPR, "ICPR")):
         table |= {base + 4 * i: Register(f"{name}{i}") for i in range(BANK // 4)}
     table |= {IABR + 4 * i: Register(f"IABR{i}", 0) for i in range(BANK // 4)}

@@ -1,8 +1,10 @@
 """The Cortex-M4: instructions by unicorn, exceptions as ARMv7-M takes them (B1.5.6 to B1.5.8).
 
 Unicorn knows the instructions of an M-profile processor, and no exception of it: what is pushed,
-where the handler is and how it returns is done here. Code takes no time: one that goes on for
-`BUDGET` instructions without sleeping waits for something, and time has to go on for it.
+where the handler is and how it returns is done here. One that the code itself has made pending
+comes at the next ISB, as it lets interrupts in, sleeps, or returns from a handler. Code takes no
+time: one that goes on for `BUDGET` instructions without sleeping waits for something, and time has
+to go on for it.
 Not modelled: process stack, floating point registers, BASEPRI, FAULTMASK, memory protection, the
 fault of a misaligned LDM or LDRD.
 """
@@ -35,6 +37,7 @@ from meshpoint.testbench.firmware.cortex_m4.nvic import (
     USAGE_FAULT,
     Nvic,
 )
+from meshpoint.testbench.firmware.cortex_m4.register_pages import map_registers
 from meshpoint.testbench.firmware.cortex_m4.registers import WORD, RegisterError
 
 FLASH: Final = range(0x0800_0000, 0x0808_0000)
@@ -54,8 +57,8 @@ FRAME_BYTES: Final = 32
 THUMB: Final = 1 << 24
 NO_MEMORY: Final = 0x1F00_0000
 WFI: Final = b"\x30\xbf"
-CPSIE: Final = b"\x62\xb6"
-MSR_PRIMASK: Final = b"\x10\x88"
+LETS_IN: Final = (b"\x62\xb6", b"\x10\x88", b"\x6f\x8f")
+"""CPSIE i, and the ends of MSR PRIMASK and ISB."""
 IS_EXIT, IS_BREAKPOINT, IS_SVC = 8, 7, 2
 _FRAME: Final = struct.Struct("<8I")
 
@@ -100,9 +103,9 @@ class Processor:
         )  # fmt: skip
         for memory in MEMORIES:
             self.unicorn.mem_map(memory.start, len(memory))
-        for page in pages:
-            self.unicorn.mmio_map(page.start, len(page), self._read, page.start, self._write,
-                                  page.start)  # fmt: skip
+        self._callbacks = [
+            map_registers(self.unicorn, page, self._read, self._write) for page in pages
+        ]
         self._core = CoreRegisters(self.unicorn)
         self._wakes_at: set[int] = set()  # behind each WFI
         self._handlers: dict[int, int] = {}
@@ -112,12 +115,11 @@ class Processor:
             self.unicorn.mem_write(address, content)
             self.unicorn.mem_write(address - FLASH.start, content)
             self._wakes_at |= {address + place for place in _behind(content, WFI)}
-            for place in _behind(content, CPSIE) + _behind(content, MSR_PRIMASK):
-                self.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._on_unmasked,
+            for place in (place for code in LETS_IN for place in _behind(content, code)):
+                self.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._on_let_in,
                                       begin=address + place, end=address + place)  # fmt: skip
         self.state = State.RUNS
-        self.is_stuck = False
-        """A fault put in: the main loop does not go on, while interrupts are served."""
+        self._is_stuck = False
         self._pc = self._started_at = self._bad_address = 0
         self._exception, self._is_stopped = 0, False
         self._error: RegisterError | None = None
@@ -125,7 +127,7 @@ class Processor:
     def reset(self, bus: Bus) -> None:
         """Begins at the reset vector. The memories keep what they have."""
         self._bus, self._nvic = bus, bus.nvic
-        self.state, self.is_stuck = State.RUNS, False
+        self.state, self._is_stuck, self._error = State.RUNS, False, None
         stack, entry = struct.unpack("<2I", self.read_memory(self._nvic.vector(0), 8))
         values = self._core.values
         values[LR], values[XPSR], values[SP], values[PRIMASK] = WORD, THUMB, stack & ~3, 0
@@ -143,12 +145,19 @@ class Processor:
                 self.state = State.RUNS  # with PRIMASK set it wakes as well, and serves nothing
             if number and (number <= HARD_FAULT or not self._core.values[PRIMASK]):
                 self._enter(number)
-            elif self.state is State.SLEEPS or (self.is_stuck and not self._nvic.active):
+            elif self.state is State.SLEEPS or (self._is_stuck and not self._nvic.active):
                 return
             self._go()
             if self.state is State.SPINS:
                 self.state = State.RUNS
-                return
+                if not self._nvic.due() or self._core.values[PRIMASK]:
+                    return
+
+    def stick(self, is_stuck: bool) -> None:
+        """A fault put in: the main loop does not go on, and lets interrupts in."""
+        self._is_stuck = is_stuck
+        self._core.values[PRIMASK] = 0
+        self._core.store()
 
     def fault(self) -> None:
         """A fault put in: the processor reads an instruction where there is none."""
@@ -177,8 +186,7 @@ class Processor:
         self._core.load()
         self._pc = self._core.values[PC]
         if self._error is not None:
-            error_at, self._error = self._error, None
-            raise CommandError(f"{error_at}; near PC 0x{self._pc:08X}") from error_at
+            raise CommandError(f"firmware: {self._error}; at PC 0x{self._pc:08X}")
         if fault is not None or self._exception == IS_BREAKPOINT:
             self._take_fault(fault)
         elif self._exception == IS_EXIT:
@@ -225,7 +233,7 @@ class Processor:
             self._nvic.enter(number)
             self._go_to_handler(number, link)
             return
-        core[FRAME] = _FRAME.unpack(self.read_memory(core[SP], FRAME_BYTES))
+        core[FRAME] = list(_FRAME.unpack(self.read_memory(core[SP], FRAME_BYTES)))
         core[SP] += FRAME_BYTES + (4 if core[XPSR] & ALIGNED else 0)
         core[XPSR] &= ~ALIGNED
         self._pc = core[PC]
@@ -252,22 +260,24 @@ class Processor:
         self._is_stopped = True
         self.unicorn.emu_stop()
 
-    def _read(self, _uc: Any, offset: int, size: int, page: int) -> int:
+    def _read(self, address: int, size: int) -> int:
         try:
-            return self._bus.read(page + offset, size)
+            return self._bus.read(address, size)
         except RegisterError as error:
-            self._error = error
-            self.unicorn.emu_stop()
+            self._refuse(error)
             return 0
 
-    def _write(self, _uc: Any, offset: int, size: int, value: int, page: int) -> None:
+    def _write(self, address: int, size: int, value: int) -> None:
         try:
-            self._bus.write(page + offset, size, value)
+            self._bus.write(address, size, value)
         except RegisterError as error:
-            self._error = error
-            self.unicorn.emu_stop()
-        if self._nvic.due() or self._bus.reset_by:
+            self._refuse(error)
+        if self._bus.reset_by:  # not for an exception: the instruction would be done a second time
             self._stop()
+
+    def _refuse(self, error: RegisterError) -> None:
+        self._error = self._error or error
+        self._stop()
 
     def _on_exception(self, _uc: Any, number: int, _data: Any) -> None:
         self._exception = number
@@ -277,8 +287,8 @@ class Processor:
         self._bad_address = address
         return False
 
-    def _on_unmasked(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
-        """Behind an instruction that lets interrupts in: what waits comes now."""
+    def _on_let_in(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
+        """Behind an instruction that lets exceptions in: what waits comes now."""
         if address != self._started_at and self._nvic.due():
             self._stop()
 

@@ -1,8 +1,8 @@
 """Timers (RM0440, chapters TIM2/TIM3/TIM4/TIM5 and TIM6/TIM7): counter, capture, compare, trigger.
 
-Counting up alone; no PWM, no DMA but of captures, no preloaded compare value, no encoder, no capture
-prescaler. The input filter is taken as nothing. A compare value that equals the counter as it is written matches one
-period later: silicon may match at once, and code must not rely on it.
+Counting up alone; no PWM, no DMA but of captures, no preloaded compare value, no encoder, no
+capture prescaler. The input filter is taken as nothing. A compare value that equals the counter as
+it is written matches one period later: silicon may match at once, and code must not rely on it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ UNITS: Final = (1, 2, 3, 4)
 DIRECT, INDIRECT = 1, 2
 """CCxS: a unit captures its own input, or that of its neighbour."""
 ACTIVE, INACTIVE, TOGGLE, FORCE_INACTIVE, FORCE_ACTIVE = 1, 2, 3, 4, 5
+COMPARE_VALUES: Final = tuple(CCR1 + 4 * i for i in range(len(UNITS)))
 FLAGS: Final = 0x1E5F
 INTERRUPTS: Final = 0x5F
 BASIC: Final = {
@@ -68,6 +69,7 @@ class Timer(Peripheral):
         self.preset = 0
         """Added to the counter: a clock that began earlier than this timer."""
         self._next_us: int | None = None
+        self._is_line_high = False
         self._is_known = True  # whether _next_us is what comes of all that was written
 
     @property
@@ -139,7 +141,9 @@ class Timer(Peripheral):
         total = self._ticks(now_us)
         if total == self._done:
             return
-        passed = [unit for unit in self._comparing() if self._next_tick(self._compare(unit)) <= total]
+        passed = [
+            unit for unit in self._comparing() if self._next_tick(self._compare(unit)) <= total
+        ]
         updates = self._next_tick(0) <= total
         self._done = total
         for unit in passed:
@@ -149,7 +153,6 @@ class Timer(Peripheral):
         if passed or updates:
             self._update_line()
         self._is_known = False
-
 
     @property
     def _period(self) -> int:
@@ -183,10 +186,11 @@ class Timer(Peripheral):
         enabled = self.value[DIER]
         is_update = enabled & UPDATE or self._trigger_output == ON_UPDATE
         awaited = [0] if is_update or self.value[CR1] & OPM else []
-        for unit in self._comparing():
-            if enabled & 1 << unit or self._has_output(unit):
-                awaited.append(self._compare(unit))
-        return awaited
+        return awaited + [
+            self._compare(unit)
+            for unit in self._comparing()
+            if enabled & 1 << unit or self._has_output(unit)
+        ]
 
     def _write_control(self, value: int, now_us: int) -> None:
         count, was_running = self.count(now_us), self.is_running
@@ -223,7 +227,10 @@ class Timer(Peripheral):
             self._wires.trigger(now_us)
 
     def _update_line(self) -> None:
-        self._wires.interrupt(bool(self.value[SR] & self.value[DIER] & INTERRUPTS))
+        is_high = bool(self.value[SR] & self.value[DIER] & INTERRUPTS)
+        if is_high != self._is_line_high:
+            self._is_line_high = is_high
+            self._wires.interrupt(is_high)
 
     def _comparing(self) -> list[int]:
         """The units that compare, none here."""
@@ -280,6 +287,8 @@ class GeneralTimer(Timer):
 
     def read(self, offset: int, now_us: int) -> int:
         """Reading what was captured clears its flag."""
+        if offset == CNT:
+            return self.count(now_us)
         value = super().read(offset, now_us)
         unit = (offset - CCR1) // 4 + 1
         if unit in UNITS and self._input(unit):
@@ -289,6 +298,11 @@ class GeneralTimer(Timer):
 
     def write(self, offset: int, value: int, now_us: int) -> None:
         """RegisterError where a mode is asked for that is not modelled."""
+        if offset in COMPARE_VALUES:
+            self.step(now_us)
+            self.value[offset] = value & self._mask
+            self._is_known = False
+            return
         super().write(offset, value, now_us)
         if offset in (CCMR1, CCMR2):
             self._check_modes(offset)
