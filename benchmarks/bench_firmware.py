@@ -55,7 +55,7 @@ def main() -> int:
             load_sheet("truck12"), ControllerSettings(), seed=seed, shifts=SHIFTS_A_SEED,
             pairs=MIXED, profile=Profile(given.profile),
         )  # fmt: skip
-        runs = [traffic(each) for each in (alone, replace(alone, has_firmware=True))]
+        runs = [traffic(each) for each in (alone, replace(alone, firmware="native"))]
         (own, own_rows, simulated, _), (firmware, rows, *_) = runs
         first = next((i for i, (a, b) in enumerate(zip_longest(own, firmware)) if a != b), None)
         frames += len(own)

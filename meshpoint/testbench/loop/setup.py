@@ -54,8 +54,8 @@ class Setup:
     wire: WireProfile = WireProfile.FD
     truck_nodes: bool = False
     """The rig plays the truck's other nodes too."""
-    has_firmware: bool = False
-    """The board's firmware stands between rig and bus, built for this machine."""
+    firmware: str | None = None
+    """The board whose firmware stands between rig and bus, of `BOARDS`; None: the rig's own."""
 
     def rig(self, first: PlannedShift, return_ramp_s: float = RETURN_RAMP_S) -> RigSettings:
         """The rig's settings: it stands in the gear, and turns at the speed, that a shift begins

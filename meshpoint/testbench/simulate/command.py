@@ -17,15 +17,13 @@ from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.firmware.firmware_rig import NOT_OF_THE_GEARBOX
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
@@ -89,7 +87,7 @@ def add_parser(commands: Any) -> None:
         f"same frames, to the byte; a registry has to listen there (default: {REGISTRY}); needs "
         "meshpoint[silkit] (docs/silkit.md)",
     )
-    _add_firmware(parser)
+    add_firmware(parser)
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
@@ -150,33 +148,6 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_firmware(parser: argparse.ArgumentParser) -> None:
-    """--firmware."""
-    parser.add_argument(
-        "--firmware",
-        choices=("native",),
-        help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
-        "machine by its C compiler, or that of meshpoint[firmware]; --profile fd alone (default: "
-        "the rig's own board)",
-    )
-
-
-def _has_firmware(namespace: argparse.Namespace, faults: tuple[ScheduledFault, ...]) -> bool:
-    """Whether it is asked for; CommandError where the run is none for it."""
-    if namespace.firmware is None:
-        return False
-    if arguments.wire_of(namespace) is WireProfile.CLASSIC:
-        raise CommandError("--firmware speaks CAN FD alone: --profile classic, allowed is fd")
-    for fault in faults:
-        if fault.order.kind in NOT_OF_THE_GEARBOX:
-            found = RigFault(fault.order.kind).name
-            raise CommandError(
-                f"--faults: found {found}, a fault of the board that --firmware stands in for; "
-                "allowed are faults of the gearbox and its sensors"
-            )
-    return True
-
-
 def _adapter(namespace: argparse.Namespace, sheet: GearboxSheet) -> AdapterProfile | None:
     """The profile that is asked for; CommandError where our messages do not fit through it."""
     if namespace.adapter is None:
@@ -195,7 +166,7 @@ def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
         return None
     if setup.bus_load is not None:
         raise CommandError("--silkit: other nodes' frames (--bus-load) are not on its bus")
-    if setup.has_firmware:
+    if setup.firmware is not None:
         raise CommandError("--silkit: the rig's process there has no --firmware")
     from meshpoint.testbench.silkit.rig_apart import RigApart
 
@@ -310,7 +281,7 @@ def _setup(
         bus_load=namespace.bus_load,
         adapter=_adapter(namespace, sheet),
         bus_queue=QueueOrder(namespace.bus_queue),
-        has_firmware=_has_firmware(namespace, faults),
+        firmware=firmware_of(namespace),
     )
 
 
