@@ -35,10 +35,12 @@ async def run_rig(
     stop: asyncio.Event,
     keys: CommandKeys | None = None,
     wire: WireProfile = WireProfile.FD,
+    around: Callable[[Core], Core] = lambda rig: rig,
 ) -> NodeStatistics:
     """Runs a rig until `stop` is set; its last frame shows all valves off. With `keys` it takes
-    proven commands alone. `wire`: the frames on the bus."""
-    core: Core = RigCore(sheet, settings)
+    proven commands alone. `wire`: the frames on the bus. `around`: puts what is to stand between
+    rig and bus, as a board's firmware, around it."""
+    core = around(RigCore(sheet, settings))
     if wire is WireProfile.CLASSIC:
         core = classic_rig(core, sheet)
     settle()

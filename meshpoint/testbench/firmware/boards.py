@@ -1,7 +1,10 @@
-"""A board that runs the firmware as it is asked for."""
+"""The boards whose firmware can stand between rig and bus."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from meshpoint.bus.core import Core
 from meshpoint.testbench.firmware.board import Board, Firmware
 from meshpoint.testbench.firmware.build import (
     image,
@@ -10,6 +13,7 @@ from meshpoint.testbench.firmware.build import (
     source_folder,
 )
 from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.testbench.firmware.firmware_rig import FirmwareRig
 from meshpoint.testbench.firmware.native_board import NativeBoard
 
 
@@ -19,3 +23,12 @@ def board_of(firmware: Firmware) -> Board:
     if firmware is Firmware.NATIVE:
         return NativeBoard(library(folder))
     return EmulatedBoard(image(folder, "both", installed_cross_compiler()))
+
+
+def around_rig(firmware: Firmware | None) -> Callable[[Core], Core]:
+    """What puts the board's firmware around a rig; of None, the rig stays as it is. The board is
+    built here: CommandError where it cannot be."""
+    if firmware is None:
+        return lambda rig: rig
+    board = board_of(firmware)
+    return lambda rig: FirmwareRig(rig, board)
