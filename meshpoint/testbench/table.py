@@ -49,6 +49,7 @@ COMMANDS: Final = {
     "watch": Command(LIVE, "a bus, or a log, as a picture in the terminal"),
     "check": Command(BENCH, "is the bus ready for the controller, is a node at work"),
     "commission": Command(BENCH, "which output moves what, one at a time"),
+    "firmware": Command(BENCH, "the board's images, as files to flash"),
     "replay": Command(LOGS, "a log through the same controller, or through another"),
     "tell": Command(LOGS, "a log in plain words, one line an event", "watch.tell"),
     "identify": Command(LOGS, "a log's gearbox as a data sheet: brake, delays, teeth"),

@@ -7,7 +7,8 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.firmware.native_board import CHANGES, Analogue, NativeBoard
+from meshpoint.testbench.firmware.board import Analogue
+from meshpoint.testbench.firmware.native_board import CHANGES, NativeBoard
 
 VALVES = [name.removesuffix("_action") for name in ValveCommand._fields if "_action" in name]
 WRAP = 1 << 32

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from collections.abc import Sequence
+from typing import Any
 
 import pytest
 from firmware_bench import VALVES, WRAP, CommandBench, Order
+from two_boards import TwoBoards
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ValveAction
-from meshpoint.testbench.firmware.native_board import NativeBoard
 
 OFF_US = 101_000
 ENDS = ("silence", "reset", "bus-off", "garbage", "clock jump", "stuck main loop", "deaf", "fault")
@@ -33,7 +35,7 @@ def garbage(rng: random.Random, frame: Frame) -> Frame:
     return frame._replace(data=bytes(data))
 
 
-def end(rng: random.Random, bench: CommandBench, how: str) -> None:
+def end(rng: random.Random, bench: Any, how: str) -> None:
     """Ends the commands."""
     memory = bench.memory
     match how:
@@ -49,6 +51,8 @@ def end(rng: random.Random, bench: CommandBench, how: str) -> None:
             memory.is_deaf = True
         case "fault":
             bench.board.code.board_on_fault()
+        case "wire cut":
+            bench.is_wired = False
 
 
 def go_through(rng: random.Random, bench: CommandBench, how: str) -> bool:
@@ -75,15 +79,22 @@ def go_through(rng: random.Random, bench: CommandBench, how: str) -> bool:
     return was_driven
 
 
-def test_every_valve_is_off_within_101_ms_in_10_000_random_moments(board: NativeBoard) -> None:
+def go_through_all(bench: CommandBench, ends: Sequence[str], times: int) -> None:
     rng, driven = random.Random(48), Counter[str]()
-    bench = CommandBench(board)
-    for number in range(10_000):
-        how = ENDS[number % len(ENDS)]
+    for number in range(times):
+        how = ends[number % len(ends)]
         driven[how] += go_through(rng, bench, how)
         bench.memory.is_bus_off = bench.memory.is_stuck = bench.memory.is_deaf = False
         bench.be_heard()
-    assert all(driven[how] > 500 for how in ENDS), driven
+    assert all(driven[how] > times // len(ends) // 3 for how in ends), driven
+
+
+def test_every_valve_is_off_within_101_ms_in_10_000_random_moments(bench: CommandBench) -> None:
+    go_through_all(bench, ENDS, 10_000)
+
+
+def test_every_valve_of_a_board_without_sensors_is_off_as_well(boards: TwoBoards) -> None:
+    go_through_all(boards, (*ENDS, "wire cut"), 450)
 
 
 @pytest.mark.parametrize("dead_us", [100, 50_000, 98_000])

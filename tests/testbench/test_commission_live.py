@@ -17,7 +17,8 @@ from live_command import live
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.boards import BOARDS, around_rig
+from meshpoint.testbench.firmware.board import Firmware
+from meshpoint.testbench.firmware.boards import around_rig
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -33,7 +34,10 @@ SPEED = ["--speed", "3"]
 channel ends after 50."""
 
 
-@pytest.fixture(params=[None, *BOARDS])
+CORTEX_M4 = pytest.param(Firmware.CORTEX_M4, marks=pytest.mark.long)
+
+
+@pytest.fixture(params=[None, Firmware.NATIVE, CORTEX_M4])
 def standing(request: pytest.FixtureRequest, channel: str, tmp_path: Path) -> Iterator[list[str]]:
     """A rig that stands, alone or behind a board's firmware, on a bus time that waits for it; how
     others get onto that bus."""

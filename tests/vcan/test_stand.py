@@ -14,7 +14,8 @@ from vcan_bench import LOOK_S, SPEED, VCAN, Command, meshpoint
 
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.boards import BOARDS, around_rig
+from meshpoint.testbench.firmware.board import Firmware
+from meshpoint.testbench.firmware.boards import around_rig
 from meshpoint.testbench.table import build_parser
 
 for _name in ("check", "commission"):
@@ -26,7 +27,7 @@ TIME = ["--speed", str(TIMES * SPEED)]
 BUS = VCAN.options("vcan0")
 
 
-@pytest.fixture(params=BOARDS)
+@pytest.fixture(params=list(Firmware))
 def standing(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     """How others get onto the bus time that waits for the rig."""
     try:

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import argparse
+from typing import Final
 
 from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc.messages import RigFault
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.boards import BOARDS, NOT_OF_THE_GEARBOX
+from meshpoint.testbench.firmware.board import Firmware
+
+NOT_OF_THE_GEARBOX: Final = frozenset(
+    (RigFault.FROZEN_PAYLOAD, RigFault.CLOCK_STEP, RigFault.NODE_RESTART, RigFault.NODE_STALLED)
+)
+"""Faults of the board that the firmware stands in for."""
 
 
 def add_firmware(parser: arguments.Arguments) -> None:
     """The argument."""
     parser.add_argument(
         "--firmware",
-        choices=tuple(BOARDS),
+        choices=tuple(Firmware),
         help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
-        "machine by its C compiler, or that of meshpoint[firmware]; --profile fd alone (default: "
-        "the rig's own board)",
+        "machine by its C compiler, or that of meshpoint[firmware]; cortex-m4: its linked image on "
+        "an emulated board, which meshpoint[firmware] brings; --profile fd alone (default: the "
+        "rig's own board)",
     )
 
 
-def firmware_of(namespace: argparse.Namespace) -> str | None:
+def firmware_of(namespace: argparse.Namespace) -> Firmware | None:
     """The board that is asked for; CommandError where the run is none for it."""
-    name: str | None = namespace.firmware
-    if name is None:
+    if namespace.firmware is None:
         return None
     if arguments.wire_of(namespace) is WireProfile.CLASSIC:
         raise CommandError("--firmware speaks CAN FD alone: --profile classic, allowed is fd")
@@ -36,4 +42,4 @@ def firmware_of(namespace: argparse.Namespace) -> str | None:
                 f"--faults: found {found}, a fault of the board that --firmware stands in for; "
                 "allowed are faults of the gearbox and its sensors"
             )
-    return name
+    return Firmware(namespace.firmware)

@@ -69,6 +69,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint commission --drawn 20 --gearbox truck12",
     ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
+    "firmware": ("meshpoint firmware", "meshpoint firmware --by gcc -o build/firmware"),
     "a2l": ("meshpoint a2l", "meshpoint a2l -o truck.a2l"),
     "fmu": ("meshpoint fmu", "meshpoint fmu -o gearbox.fmu"),
     "convert": (

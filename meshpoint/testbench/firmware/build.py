@@ -1,4 +1,5 @@
-"""Builds the firmware for this machine, with the board of memory in `firmware/native`."""
+"""Builds the firmware: for this machine, with the board of memory in `firmware/native`, and as the
+images of the board in `firmware/g474`."""
 
 from __future__ import annotations
 
@@ -22,7 +23,19 @@ FLAGS: Final = (
     "-std=c11", "-O2", "-ffreestanding", "-Wall", "-Wextra", "-Werror", "-Wconversion",
 )  # fmt: skip
 SHARED: Final = ("-shared", "-fPIC")
-BOTH_IMAGES: Final = ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=1")
+IMAGES: Final = {
+    "both": ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=1"),
+    "sensor": ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=0"),
+    "valve": ("-DIMAGE_SENSOR=0", "-DIMAGE_VALVE=1"),
+}
+"""Of one tree of sources."""
+BOTH_IMAGES: Final = IMAGES["both"]
+LINKED: Final = ("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-Wl,-e,on_reset")
+CROSS_COMPILERS: Final = {
+    "gcc": ("-mcpu=cortex-m4", "-mthumb", "-nostdlib", "-Wl,--no-warn-rwx-segments"),
+    "zig": ("-target", "thumb-freestanding-eabi", "-g0", "-mcpu=cortex_m4", "-mfloat-abi=soft"),
+}
+"""Debian's gcc-arm-none-eabi, and ziglang's clang, with what each alone wants."""
 FAILED_LINES: Final = 5
 """Of what the compiler said, as much is shown."""
 
@@ -37,6 +50,33 @@ def compiler() -> list[str]:
     raise CommandError(
         "the firmware is built here, and there is no C compiler: neither cc nor ziglang is "
         f"installed; pip install 'meshpoint[{EXTRA}]'"
+    )
+
+
+def cross_compiler(name: str) -> list[str]:
+    """One of CROSS_COMPILERS. CommandError where it is not installed."""
+    if name == "gcc" and shutil.which("arm-none-eabi-gcc") is not None:
+        return ["arm-none-eabi-gcc"]
+    if name == "zig" and find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc"]
+    raise CommandError(
+        "the board's images are built here, and "
+        + {
+            "gcc": "arm-none-eabi-gcc is not installed (Debian: gcc-arm-none-eabi)",
+            "zig": f"ziglang is not installed; pip install 'meshpoint[{EXTRA}]'",
+        }[name]
+    )
+
+
+def installed_cross_compiler() -> str:
+    """The first of CROSS_COMPILERS that is installed. CommandError where none is."""
+    for name in CROSS_COMPILERS:
+        with suppress(CommandError):
+            cross_compiler(name)
+            return name
+    raise CommandError(
+        "the board's images are built here, and there is no compiler for them: neither "
+        f"arm-none-eabi-gcc nor ziglang is installed; pip install 'meshpoint[{EXTRA}]'"
     )
 
 
@@ -56,11 +96,15 @@ def sources(folder: Path) -> list[Path]:
 def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED) -> None:
     """Compiles the files into `output`. CommandError where that fails, with the first lines of what
     the compiler said."""
-    command = [*compiler(), *FLAGS, *BOTH_IMAGES, *flags, "-o", str(output), *map(str, files)]
+    _run([*compiler(), *FLAGS, *BOTH_IMAGES, *flags], files, output)
+
+
+def _run(command: list[str], files: Sequence[Path], output: Path) -> None:
     try:
         done = subprocess.run(  # noqa: S603 (a compiler of this machine on files of the package)
-            command, capture_output=True, text=True, check=False
-        )
+            [*command, "-o", str(output), *map(str, files)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
     except OSError as error:
         raise CommandError(f"{command[0]}: cannot be run: {error.strerror or error}") from error
     if done.returncode:
@@ -68,19 +112,38 @@ def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED)
         raise CommandError(f"{command[0]}: the firmware was not compiled:\n{said}")
 
 
-def library(folder: Path) -> bytes:
+def library(folder: Path, options: Sequence[str] = BOTH_IMAGES) -> bytes:
     """The firmware as a shared library, from the cache of compiled code where it is there.
 
-    folder: the sources. CommandError: it cannot be built."""
-    name = f"firmware-{_digest(folder)}{ENTRY}"
+    folder: the sources; options: of the firmware, one of IMAGES. CommandError: it cannot be
+    built."""
+    return _kept(folder, [*compiler(), *FLAGS, *options, *SHARED], sources(folder))
+
+
+def image(folder: Path, name: str, by: str) -> bytes:
+    """One of IMAGES, linked for the board, as an ELF file.
+
+    folder: the sources; by: one of CROSS_COMPILERS. CommandError: it cannot be built."""
+    board = folder / "g474"
+    command = [
+        *cross_compiler(by), *FLAGS, *CROSS_COMPILERS[by], *IMAGES[name], *LINKED,
+        f"-Wl,-T,{board / 'link.ld'}",
+    ]  # fmt: skip
+    files = [*sorted(folder.glob("*.c")), *sorted(board.glob("*.c"))]
+    return _kept(folder, command, files)
+
+
+def _kept(folder: Path, command: list[str], files: Sequence[Path]) -> bytes:
+    """What this command makes of these files, from the cache or into it."""
+    name = f"firmware-{_digest(folder, command)}{ENTRY}"
     for cache in kernel_folders():
         with suppress(OSError, UnusableEntryError):
             kept = cache.read(name)
             if kept is not None:
                 return kept
     with tempfile.TemporaryDirectory() as made:
-        output = Path(made) / "firmware.so"
-        compiled(sources(folder), output)
+        output = Path(made) / "firmware"
+        _run(command, files, output)
         content = output.read_bytes()
     for cache in kernel_folders():
         with suppress(OSError):
@@ -89,9 +152,9 @@ def library(folder: Path) -> bytes:
     return content
 
 
-def _digest(folder: Path) -> str:
+def _digest(folder: Path, command: list[str]) -> str:
     """Of all that decides what is compiled."""
-    digest = hashlib.sha256(repr([*compiler(), *FLAGS, sys.platform]).encode())
-    for path in sorted(folder.rglob("*.[ch]")):
+    digest = hashlib.sha256(repr([*command, sys.platform]).encode())
+    for path in sorted((*folder.rglob("*.[ch]"), *folder.rglob("*.ld"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:32]

@@ -25,7 +25,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.rig_sim.command_inbox import CLUTCH, VALVES, CommandInbox
 from meshpoint.rig_sim.core import FROM_IO
-from meshpoint.testbench.firmware.native_board import CHANNELS, Analogue, NativeBoard
+from meshpoint.testbench.firmware.board import CHANNELS, Analogue, Board
 
 IO_IDS: Final = frozenset(CODECS[message.__name__].spec.can_id for message in FROM_IO)
 GEARBOX_SENSORS, SLEEVES_MAIN, SLEEVES_AUX = (
@@ -61,7 +61,7 @@ class Passed(NamedTuple):
 class FirmwareRig(AroundCore[Core]):
     """A rig whose board is this firmware. On the bus it does what the rig alone does."""
 
-    def __init__(self, rig: Core, board: NativeBoard) -> None:
+    def __init__(self, rig: Core, board: Board) -> None:
         super().__init__(rig)
         self._board = board
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
@@ -147,10 +147,10 @@ class FirmwareRig(AroundCore[Core]):
         """Commands to the rig of the outputs as they are: where one has been switched, where the
         board has heard a command, and often enough for the rig not to think that nobody is there.
         Whether there was one."""
-        memory = self._board.memory
-        outputs: dict[int, int] = {VALVES: memory.driven}
-        if memory.clutch_orders:  # until the first one, nothing drives the actuator
-            outputs[CLUTCH] = memory.is_clutch_closed
+        outputs: dict[int, int] = {VALVES: self._board.driven}
+        clutch = self._board.clutch
+        if clutch is not None:  # until the first command, nothing drives the actuator
+            outputs[CLUTCH] = clutch
         has_passed = False
         for can_id, output in outputs.items():
             last = self._passed.get(can_id)
@@ -179,9 +179,9 @@ class FirmwareRig(AroundCore[Core]):
     def _read(self) -> list[Frame]:
         board, pins = self._board, self._pins
         sensor_us, *slow = _SLOW.unpack_from(pins[GEARBOX_SENSORS], _AT_TIME)
-        if not board.memory.is_wake_own_set:
+        if not board.is_on:
             board.power_on(sensor_us)
-        board.memory.sensor_us = sensor_us
+        board.set_sensor_us(sensor_us)
         for can_id, channel in EDGES.items():
             self._capture(channel, pins[can_id])
         main_bad, *main = _SLEEVES.unpack_from(pins[SLEEVES_MAIN], _AT_SLEEVES)

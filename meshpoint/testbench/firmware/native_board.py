@@ -7,19 +7,21 @@ import struct
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from meshpoint.dbc.frame import Frame
+from meshpoint.testbench.firmware.board import CHANNELS, SCANS, Analogue, Failure
 
-CHANNELS: Final = 8
 EDGES: Final = 256
 SENT: Final = 64
 CHANGES: Final = 64
-SCANS: Final = 10
 
 _FRAME: Final = struct.Struct("<IB??64sx")
 _SCANS: Final = struct.Struct("<" + "4h4HBx" * SCANS)
 _SCAN_VALUES: Final = 9
+_FLAGS: Final = {
+    Failure.BUS_OFF: "is_bus_off", Failure.STUCK: "is_stuck", Failure.DEAF: "is_deaf",
+}  # fmt: skip
 
 
 class Changed(ctypes.Structure):
@@ -43,11 +45,13 @@ class Memory(ctypes.Structure):
         ("change_count", ctypes.c_uint32),
         ("clutch_orders", ctypes.c_uint32),
         ("sent_count", ctypes.c_uint32),
+        ("pulse_count", ctypes.c_uint32),
         ("driven", ctypes.c_uint16),
         ("is_wake_sensor_set", ctypes.c_bool),
         ("is_wake_own_set", ctypes.c_bool),
         ("is_clutch_closed", ctypes.c_bool),
         ("is_bus_off", ctypes.c_bool),
+        ("is_sending", ctypes.c_bool),
         ("has_scans", ctypes.c_bool),
         ("bad_wheels", ctypes.c_uint8),
         ("is_stuck", ctypes.c_bool),
@@ -61,19 +65,8 @@ class Memory(ctypes.Structure):
     )
 
 
-class Analogue(NamedTuple):
-    """The analogue inputs over a cycle, in steps of the wire."""
-
-    sleeves: Sequence[Sequence[int]]
-    """Ten samples of each sleeve, the newest first."""
-    slow: tuple[int, int, int, int]
-    """Brake pressure, supply pressure, oil, clutch."""
-    bad_sleeves: int = 0
-    """One bit a sleeve: its signal is out of electrical range."""
-
-
 class NativeBoard:
-    """One board. It is off until `power_on`, and has a copy of the library for itself."""
+    """As `Board`. It has a copy of the library for itself."""
 
     def __init__(self, library: bytes) -> None:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -85,9 +78,60 @@ class NativeBoard:
         self._sent = memoryview(self.memory).cast("B")[Memory.sent.offset :]
         self._scans = memoryview(self.memory).cast("B")[Memory.scans.offset :]
 
+    @property
+    def is_on(self) -> bool:
+        """As `Board`."""
+        return bool(self.memory.is_wake_own_set)
+
+    @property
+    def sensor_us(self) -> int:
+        """As `Board`."""
+        return int(self.memory.sensor_us)
+
+    @property
+    def own_us(self) -> int:
+        """As `Board`."""
+        return int(self.memory.own_us)
+
+    @property
+    def resets(self) -> int:
+        """As `Board`."""
+        return int(self.memory.resets)
+
+    @property
+    def driven(self) -> int:
+        """As `Board`."""
+        return int(self.memory.driven)
+
+    @property
+    def coils_together(self) -> int:
+        """As `Board`."""
+        return int(self.memory.coils_together)
+
+    @property
+    def clutch(self) -> bool | None:
+        """As `Board`."""
+        return bool(self.memory.is_clutch_closed) if self.memory.clutch_orders else None
+
+    def set_sensor_us(self, sensor_us: int) -> None:
+        """As `Board`."""
+        self.memory.sensor_us = sensor_us & 0xFFFF_FFFF
+
+    def fail(self, failure: Failure) -> None:
+        """As `Board`."""
+        if failure is Failure.FAULT:
+            self.code.board_on_fault()
+        else:
+            setattr(self.memory, _FLAGS[failure], True)
+
+    def mend(self) -> None:
+        """As `Board`."""
+        for flag in _FLAGS.values():
+            setattr(self.memory, flag, False)
+
     def power_on(self, sensor_us: int) -> None:
         """Starts it, or resets it; the sensor clock shows this then."""
-        self.memory.sensor_us = sensor_us & 0xFFFF_FFFF
+        self.set_sensor_us(sensor_us)
         self.code.native_power_on()
 
     def advance(self, for_us: int) -> None:

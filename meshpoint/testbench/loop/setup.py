@@ -20,6 +20,7 @@ from meshpoint.rig_sim.settings import (
     Profile,
     RigSettings,
 )
+from meshpoint.testbench.firmware.board import Firmware
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
@@ -54,8 +55,8 @@ class Setup:
     wire: WireProfile = WireProfile.FD
     truck_nodes: bool = False
     """The rig plays the truck's other nodes too."""
-    firmware: str | None = None
-    """The board whose firmware stands between rig and bus, of `BOARDS`; None: the rig's own."""
+    firmware: Firmware | None = None
+    """The board's firmware stands between rig and bus, run in this way; None: it does not."""
 
     def rig(self, first: PlannedShift, return_ramp_s: float = RETURN_RAMP_S) -> RigSettings:
         """The rig's settings: it stands in the gear, and turns at the speed, that a shift begins
