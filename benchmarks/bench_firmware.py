@@ -25,6 +25,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.campaign.intervals import rate_interval
+from meshpoint.testbench.firmware.board import Firmware
 from meshpoint.testbench.loop.schedules import SCHEDULES
 from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import simulate
@@ -72,6 +73,7 @@ def main() -> int:
     parser.add_argument("--shifts", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--profile", default="typical", choices=[str(each) for each in Profile])
+    parser.add_argument("--firmware", type=Firmware, default="native", choices=list(Firmware))
     parser.add_argument("--pairs", default="mixed", choices=list(SCHEDULES))
     given = parser.parse_args()
     pairs: list[tuple[int, ShiftRow, ShiftRow]] = []
@@ -83,7 +85,7 @@ def main() -> int:
             load_sheet("truck12"), ControllerSettings(), seed=seed, shifts=SHIFTS_A_SEED,
             pairs=SCHEDULES[given.pairs], profile=Profile(given.profile),
         )  # fmt: skip
-        runs = [traffic(each) for each in (alone, replace(alone, firmware="native"))]
+        runs = [traffic(each) for each in (alone, replace(alone, firmware=given.firmware))]
         (own, own_rows, simulated, _), (firmware, rows, *_) = runs
         first = next((i for i, (a, b) in enumerate(zip_longest(own, firmware)) if a != b), None)
         frames += len(own)
@@ -96,9 +98,10 @@ def main() -> int:
             print(f"seed {seed}: frame {first} of {len(own)} is the first that differs")
     print(gap_rates(pairs))
     print(
-        f"{given.profile}, --pairs {given.pairs}, {len(seeds) * SHIFTS_A_SEED} shifts from seeds "
-        f"{seeds.start} to {seeds.stop - 1}: {frames} frames in {simulated_s:.0f} s of bus time, "
-        f"{different} runs with another frame, {different_rows} shifts with another row"
+        f"{given.firmware}, {given.profile}, --pairs {given.pairs}, "
+        f"{len(seeds) * SHIFTS_A_SEED} shifts from seeds {seeds.start} to {seeds.stop - 1}: "
+        f"{frames} frames in {simulated_s:.0f} s of bus time, {different} runs with another frame, "
+        f"{different_rows} shifts with another row"
     )
     alone_x, firmware_x = (simulated_s / each for each in spent_s)
     print(

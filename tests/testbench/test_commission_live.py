@@ -34,7 +34,10 @@ SPEED = ["--speed", "3"]
 channel ends after 50."""
 
 
-@pytest.fixture(params=[None, *Firmware])
+CORTEX_M4 = pytest.param(Firmware.CORTEX_M4, marks=pytest.mark.long)
+
+
+@pytest.fixture(params=[None, Firmware.NATIVE, CORTEX_M4])
 def standing(request: pytest.FixtureRequest, channel: str, tmp_path: Path) -> Iterator[list[str]]:
     """A rig that stands, alone or behind a board's firmware, on a bus time that waits for it; how
     others get onto that bus."""

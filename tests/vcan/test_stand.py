@@ -27,7 +27,7 @@ TIME = ["--speed", str(TIMES * SPEED)]
 BUS = VCAN.options("vcan0")
 
 
-@pytest.fixture(params=Firmware)
+@pytest.fixture(params=list(Firmware))
 def standing(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     """How others get onto the bus time that waits for the rig."""
     try:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from typing import Final
 
 from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc.messages import RigFault
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.firmware_rig import NOT_OF_THE_GEARBOX
+
+NOT_OF_THE_GEARBOX: Final = frozenset(
+    (RigFault.FROZEN_PAYLOAD, RigFault.CLOCK_STEP, RigFault.NODE_RESTART, RigFault.NODE_STALLED)
+)
+"""Faults of the board that the firmware stands in for."""
 
 
 def add_firmware(parser: arguments.Arguments) -> None:
@@ -25,7 +30,7 @@ def add_firmware(parser: arguments.Arguments) -> None:
 
 
 def firmware_of(namespace: argparse.Namespace) -> Firmware | None:
-    """As it is asked for; CommandError where the run is none for it."""
+    """The board that is asked for; CommandError where the run is none for it."""
     if namespace.firmware is None:
         return None
     if arguments.wire_of(namespace) is WireProfile.CLASSIC:

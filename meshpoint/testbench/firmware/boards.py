@@ -1,4 +1,4 @@
-"""The boards whose firmware can stand between rig and bus."""
+"""A board that runs the firmware as it is asked for."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def board_of(firmware: Firmware) -> Board:
 
 
 def around_rig(firmware: Firmware | None) -> Callable[[Core], Core]:
-    """What puts the board's firmware around a rig; of None, the rig stays as it is. The board is
-    built here: CommandError where it cannot be."""
+    """What puts a board with this firmware around a rig; of None, the rig stays as it is. The board
+    is made here: CommandError as of `board_of`."""
     if firmware is None:
         return lambda rig: rig
     board = board_of(firmware)

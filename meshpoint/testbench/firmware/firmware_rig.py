@@ -17,7 +17,6 @@ from meshpoint.dbc.messages import (
     ClutchAction,
     ClutchCommand,
     GearboxSensors,
-    RigFault,
     SleevesAux,
     SleevesMain,
     ValveAction,
@@ -44,10 +43,6 @@ TO_BE_VALID: Final = 3
 """A receiver obeys the third good frame, not the first."""
 RENEW_US: Final = 30_000
 """A command is repeated after this: 50 ms without a frame are a node that is off."""
-NOT_OF_THE_GEARBOX: Final = frozenset(
-    (RigFault.FROZEN_PAYLOAD, RigFault.CLOCK_STEP, RigFault.NODE_RESTART, RigFault.NODE_STALLED)
-)
-"""Faults of the board that the firmware stands in for."""
 
 _EDGES: Final = struct.Struct("<IHB27H")
 _SLOW: Final = struct.Struct("<I4H")

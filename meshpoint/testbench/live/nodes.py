@@ -33,7 +33,6 @@ from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.pace import add_pace, clock_of
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.firmware.boards import around_rig
 from meshpoint.testbench.logs.recording import log_folder, recording, save_header, start_log
 from meshpoint.testbench.provenance import gearbox_words
 from meshpoint.testbench.results.output import complain
@@ -231,6 +230,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
 def run_rig_command(namespace: argparse.Namespace) -> int:
     """Runs the rig until a signal."""
     from meshpoint.rig_sim.node import run_rig
+    from meshpoint.testbench.firmware.boards import around_rig
 
     built = arguments.as_built_of(namespace)
     settings = RigSettings(
