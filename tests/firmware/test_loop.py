@@ -154,10 +154,6 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().err
 
 
-def test_the_classic_profile_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--profile classic, allowed is fd" in refused(capsys, "--profile", "classic")
-
-
 def test_a_fault_of_the_board_itself_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ outputs go to the rig as commands to switch now, at the microsecond at which the
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
@@ -39,6 +40,11 @@ EDGES: Final = {
     )
 }
 ACTIONS: Final = [name for name in ValveCommand._fields if name.endswith("_action")]
+FD_COMMANDS: Final[Mapping[int, frozenset[int]]] = {
+    VALVES: frozenset((VALVES,)),
+    CLUTCH: frozenset((CLUTCH,)),
+}
+"""By identifier of what the board alone hears, on CAN FD: which of the rig's commands it is."""
 STAMPS: Final = 27
 TO_BE_VALID: Final = 3
 """A receiver obeys the third good frame, not the first."""
@@ -66,14 +72,21 @@ class Passed(NamedTuple):
 class FirmwareRig(AroundCore[Core]):
     """A rig whose board is this firmware. On the bus it does what the rig alone does."""
 
-    def __init__(self, rig: Core, board: NativeBoard) -> None:
+    def __init__(
+        self,
+        rig: Core,
+        board: NativeBoard,
+        commands: Mapping[int, frozenset[int]] = FD_COMMANDS,
+        valves: int = VALVES,
+    ) -> None:
+        """commands: as `FD_COMMANDS`; valves: the identifier of that of the valves."""
         super().__init__(rig)
         self._board = board
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
-        self._inbox = CommandInbox()
+        self._commands = commands
+        self._inbox = CommandInbox(valves)
         self._held = Step([], [])
         self._at_us: int | None = None
-        self._wake_us = 0
         self._index = [0] * CHANNELS
         self._pins: dict[int, bytes] = {}
         self._passed: dict[int, Passed] = {}
@@ -84,27 +97,22 @@ class FirmwareRig(AroundCore[Core]):
 
     @property
     def next_step_us(self) -> int:
-        """That of the rig; or when the firmware may switch an output."""
-        if self._inbox.is_urgent:
-            return 0
-        return min(self._core.next_step_us, self._wake_us)
+        """That of the rig."""
+        return 0 if self._inbox.is_urgent else self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
         """Lets rig and board go on to now, then hands over what was received."""
-        if self._at_us is not None:
-            self._board.advance(now_us - self._at_us)
+        at_us = now_us if self._at_us is None else self._at_us
+        while at_us < now_us:
+            next_us = min(now_us, at_us + max(1, self._board.wake_us))
+            self._board.advance(next_us - at_us)
+            at_us = next_us
+            if self._pass_on(at_us, frozenset()):  # an output has been switched at this time
+                self._keep(self._core.step(at_us))
         self._at_us = now_us
-        is_read = self._core.next_step_us <= now_us
-        if is_read:
+        if self._core.next_step_us <= now_us:
             self._keep(self._core.step(now_us))
-        if is_read or self._inbox.is_urgent:
-            step = self._exchange(now_us)
-        else:
-            if self._pass_on(now_us, set()):
-                self._keep(self._core.step(now_us))
-            step = Step([], [])
-        self._wake_us = now_us + self._board.wake_us
-        return step
+        return self._exchange(now_us)
 
     def shutdown(self, now_us: int) -> Step:
         """Goes on to now; the board loses its power, and so do the valves."""
@@ -122,17 +130,18 @@ class FirmwareRig(AroundCore[Core]):
     def _exchange(self, now_us: int) -> Step:
         """What was received, to the board and to the rig; what they have to send."""
         inbox = self._inbox.take()
-        others = [frame for frame in inbox if frame.can_id not in (VALVES, CLUTCH)]
+        others = [frame for frame in inbox if frame.can_id not in self._commands]
         for frame in inbox:
             self._board.receive(frame)
-        self._pass_on(now_us, {frame.can_id for frame in inbox})
+        heard = [self._commands.get(frame.can_id, frozenset()) for frame in inbox]
+        self._pass_on(now_us, frozenset().union(*heard))
         for frame in others:
             self._core.receive(frame)
         self._keep(self._core.step(now_us))
         step, self._held = self._held, Step([], [])
         return step
 
-    def _pass_on(self, now_us: int, heard: set[int]) -> bool:
+    def _pass_on(self, now_us: int, heard: frozenset[int]) -> bool:
         """Commands to the rig of the outputs as they are: where one has been switched, where the
         board has heard a command, and often enough for the rig not to think that nobody is there.
         Whether there was one."""

@@ -128,6 +128,14 @@ def _unpacker(wire: WireProfile) -> Callable[[Frame], Iterable[Frame]]:
     return bench_unpacker().take
 
 
+def _with_firmware(setup: Setup, rig: RigCore) -> FirmwareRig:
+    if setup.wire is WireProfile.FD:
+        return FirmwareRig(rig, NativeBoard(library(source_folder())))
+    from meshpoint.testbench.firmware.classic import classic_firmware_rig
+
+    return classic_firmware_rig(rig, setup.sheet)
+
+
 def _written_first(
     records: Records, unwritten: list[str], is_over: Callable[[], bool]
 ) -> Callable[[], bool]:
@@ -183,7 +191,7 @@ def simulate(
     records, unwritten = Records(record or Path()), list[str]()
     node: Core = rig
     if setup.has_firmware:
-        node = FirmwareRig(rig, NativeBoard(library(source_folder())))
+        node = _with_firmware(setup, rig)
     bench = virtual_bench(
         setup, controller, node if apart is None else Elsewhere(), operator,
         on_frame=take, on_event=on_event, records=None if record is None else records,

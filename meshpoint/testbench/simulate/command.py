@@ -156,8 +156,8 @@ def _add_firmware(parser: argparse.ArgumentParser) -> None:
         "--firmware",
         choices=("native",),
         help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
-        "machine by its C compiler, or that of meshpoint[firmware]; --profile fd alone (default: "
-        "the rig's own board)",
+        "machine by its C compiler, or that of meshpoint[firmware] (default: the rig's own "
+        "board)",
     )
 
 
@@ -165,8 +165,6 @@ def _has_firmware(namespace: argparse.Namespace, faults: tuple[ScheduledFault, .
     """Whether it is asked for; CommandError where the run is none for it."""
     if namespace.firmware is None:
         return False
-    if arguments.wire_of(namespace) is WireProfile.CLASSIC:
-        raise CommandError("--firmware speaks CAN FD alone: --profile classic, allowed is fd")
     for fault in faults:
         if fault.order.kind in NOT_OF_THE_GEARBOX:
             found = RigFault(fault.order.kind).name
