@@ -1,5 +1,6 @@
 #include "board.h"
 
+#include "frames.h"
 #include "sensor.h"
 #include "valve.h"
 
@@ -11,6 +12,7 @@ void board_power_on(void) {
 #if IMAGE_VALVE
     valve_power_on(); /* first of all: whatever was driven is off */
 #endif
+    frames_power_on();
 #if IMAGE_SENSOR
     sensor_power_on();
 #endif

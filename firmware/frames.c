@@ -51,18 +51,13 @@ void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_r
     }
 }
 
-/* A receiver refuses a frame with a value outside the DBC's range: what is beyond is at its end. */
-static uint16_t within(uint16_t value, uint16_t least, uint16_t most) {
-    return value < least ? least : value > most ? most : value;
-}
-
 void frames_put_gearbox_sensors(struct frame *frame, uint32_t sample_us,
                                 const struct hal_scan *scan) {
     begin(frame, ID_GEARBOX_SENSORS, LENGTH_GEARBOX_SENSORS, sample_us);
     put16(frame->data + AT_CONTENT, scan->brake_20pa);
     put16(frame->data + 9, scan->supply_20pa);
-    put16(frame->data + 11, within(scan->oil_centidegree, 4000, 30000));
-    put16(frame->data + 13, within(scan->clutch_basispoint, 0, 10000));
+    put16(frame->data + 11, scan->oil_centidegree);
+    put16(frame->data + 13, scan->clutch_basispoint);
 }
 
 void frames_put_sleeves(struct frame *frame, uint32_t sample_us,
@@ -83,12 +78,6 @@ void frames_put_valve_status(struct frame *frame, const struct valve_report *rep
     put16(frame->data + 13, report->expired_count);
 }
 
-void frames_send(struct frame *frame, uint8_t *counter) {
-    e2e_protect(frame->data, frame->length, frames_data_id(frame->id), *counter);
-    *counter = (uint8_t)(*counter + 1);
-    hal_send(frame);
-}
-
 uint32_t frames_get_time(const struct frame *frame) {
     return get32(frame->data + AT_TIME);
 }
@@ -105,3 +94,76 @@ bool frames_get_clutch_command(const struct frame *frame, bool *close) {
     *close = frame->data[E2E_HEADER] == 1;
     return frame->data[E2E_HEADER] <= 1;
 }
+
+#if !PROFILE_CLASSIC
+
+static uint8_t counters[HAL_CHANNELS + 4];
+static struct e2e_channel valve_channel;
+static struct e2e_channel clutch_channel;
+
+void frames_power_on(void) {
+    for (unsigned i = 0; i < sizeof counters; i++) {
+        counters[i] = 0;
+    }
+}
+
+void frames_forget(void) {
+    static const struct e2e_channel UNHEARD;
+    valve_channel = UNHEARD;
+    clutch_channel = UNHEARD;
+}
+
+void frames_watch(uint32_t own_us) {
+    e2e_watch(&valve_channel, own_us);
+    e2e_watch(&clutch_channel, own_us);
+}
+
+/* Writes the header and sends it; the next frame of this message counts on. */
+static void send(struct frame *frame, unsigned message) {
+    e2e_protect(frame->data, frame->length, frames_data_id(frame->id), counters[message]++);
+    hal_send(frame);
+}
+
+void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], const struct hal_scan *scan) {
+    struct frame frame;
+    for (unsigned i = 0; i < HAL_CHANNELS; i++) {
+        frames_put_edges(&frame, i, &reads[i]);
+        send(&frame, i);
+    }
+    frames_put_gearbox_sensors(&frame, reads[0].read_us, scan);
+    send(&frame, HAL_CHANNELS);
+}
+
+void frames_send_valves(const struct valve_report *report) {
+    struct frame frame;
+    frames_put_valve_status(&frame, report);
+    send(&frame, HAL_CHANNELS + 1);
+}
+
+void frames_send_sleeves(uint32_t sample_us, const struct hal_scan scans[HAL_SCANS],
+                         unsigned faults) {
+    struct frame frame;
+    for (unsigned first = 0; first < HAL_SLEEVES; first += 2) {
+        frames_put_sleeves(&frame, sample_us, scans, first, (uint8_t)(faults >> first & 3));
+        send(&frame, HAL_CHANNELS + 2 + first / 2);
+    }
+}
+
+void frames_hear(const struct frame *frame, uint32_t own_us, struct command *command) {
+    enum e2e_status status;
+    command->has_orders = false;
+    command->has_clutch = false;
+    if (frame->id == ID_VALVE_COMMAND) {
+        status = frames_check(&valve_channel, frame, ID_VALVE_COMMAND, LENGTH_VALVE_COMMAND);
+        command->has_orders = e2e_update(&valve_channel, status, own_us);
+        frames_get_valve_command(frame, command->orders);
+    } else if (frame->id == ID_CLUTCH_COMMAND) {
+        status = frames_check(&clutch_channel, frame, ID_CLUTCH_COMMAND, LENGTH_CLUTCH_COMMAND);
+        if (!frames_get_clutch_command(frame, &command->close_clutch) && status == E2E_OK) {
+            status = E2E_ERROR;
+        }
+        command->has_clutch = e2e_update(&clutch_channel, status, own_us);
+    }
+}
+
+#endif

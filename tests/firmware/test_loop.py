@@ -196,12 +196,6 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["simulate", "rig", "up"])
-def test_the_classic_profile_is_refused(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([command, "--firmware", "native", "--profile", "classic"]) == 2
-    assert "--profile classic, allowed is fd" in capsys.readouterr().err
-
-
 def test_a_fault_of_the_board_itself_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,7 @@ from meshpoint.controller.valve_name import ValveName
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.boards import around_rig
+from meshpoint.testbench.firmware.boards import board_of
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -44,7 +44,7 @@ def standing(request: pytest.FixtureRequest, channel: str, tmp_path: Path) -> It
     firmware: list[str] = []
     if request.param is not None:
         try:
-            around_rig(request.param)
+            board_of(request.param)
         except CommandError as error:
             pytest.skip(str(error))
         firmware = ["--firmware", request.param]

@@ -15,7 +15,7 @@ from vcan_bench import LOOK_S, SPEED, VCAN, Command, meshpoint
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.boards import around_rig
+from meshpoint.testbench.firmware.boards import board_of
 from meshpoint.testbench.table import build_parser
 
 for _name in ("check", "commission"):
@@ -31,7 +31,7 @@ BUS = VCAN.options("vcan0")
 def standing(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     """How others get onto the bus time that waits for the rig."""
     try:
-        around_rig(request.param)
+        board_of(request.param)
     except CommandError as error:
         pytest.skip(str(error))
     VCAN.prepare()

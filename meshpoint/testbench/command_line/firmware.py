@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc.messages import RigFault
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError
@@ -24,8 +23,7 @@ def add_firmware(parser: arguments.Arguments) -> None:
         choices=tuple(Firmware),
         help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
         "machine by its C compiler, or that of meshpoint[firmware]; cortex-m4: its linked image on "
-        "an emulated board, which meshpoint[firmware] brings; --profile fd alone (default: the "
-        "rig's own board)",
+        "an emulated board, which meshpoint[firmware] brings (default: the rig's own board)",
     )
 
 
@@ -33,8 +31,6 @@ def firmware_of(namespace: argparse.Namespace) -> Firmware | None:
     """The board that is asked for; CommandError where the run is none for it."""
     if namespace.firmware is None:
         return None
-    if arguments.wire_of(namespace) is WireProfile.CLASSIC:
-        raise CommandError("--firmware speaks CAN FD alone: --profile classic, allowed is fd")
     for fault in arguments.faults_of(namespace):
         if fault.order.kind in NOT_OF_THE_GEARBOX:
             found = RigFault(fault.order.kind).name

@@ -120,13 +120,14 @@ def library(folder: Path, options: Sequence[str] = BOTH_IMAGES) -> bytes:
     return _kept(folder, [*compiler(), *FLAGS, *options, *SHARED], sources(folder))
 
 
-def image(folder: Path, name: str, by: str) -> bytes:
-    """One of IMAGES, linked for the board, as an ELF file.
+def image(folder: Path, options: Sequence[str], by: str) -> bytes:
+    """An image linked for the board, as an ELF file.
 
-    folder: the sources; by: one of CROSS_COMPILERS. CommandError: it cannot be built."""
+    folder: the sources; options: of the firmware, those of one of IMAGES among them; by: one of
+    CROSS_COMPILERS. CommandError: it cannot be built."""
     board = folder / "g474"
     command = [
-        *cross_compiler(by), *FLAGS, *CROSS_COMPILERS[by], *IMAGES[name], *LINKED,
+        *cross_compiler(by), *FLAGS, *CROSS_COMPILERS[by], *options, *LINKED,
         f"-Wl,-T,{board / 'link.ld'}",
     ]  # fmt: skip
     files = [*sorted(folder.glob("*.c")), *sorted(board.glob("*.c"))]

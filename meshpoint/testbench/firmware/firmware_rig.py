@@ -7,6 +7,7 @@ outputs go to the rig as commands to switch now, at the microsecond at which the
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
@@ -38,6 +39,11 @@ EDGES: Final = {
     )
 }
 ACTIONS: Final = [name for name in ValveCommand._fields if name.endswith("_action")]
+FD_COMMANDS: Final[Mapping[int, frozenset[int]]] = {
+    VALVES: frozenset((VALVES,)),
+    CLUTCH: frozenset((CLUTCH,)),
+}
+"""By identifier of what the board alone hears, on CAN FD: which of the rig's commands it is."""
 STAMPS: Final = 27
 TO_BE_VALID: Final = 3
 """A receiver obeys the third good frame, not the first."""
@@ -61,11 +67,19 @@ class Passed(NamedTuple):
 class FirmwareRig(AroundCore[Core]):
     """A rig whose board is this firmware. On the bus it does what the rig alone does."""
 
-    def __init__(self, rig: Core, board: Board) -> None:
+    def __init__(
+        self,
+        rig: Core,
+        board: Board,
+        commands: Mapping[int, frozenset[int]] = FD_COMMANDS,
+        valves: int = VALVES,
+    ) -> None:
+        """commands: as `FD_COMMANDS`; valves: the identifier of that of the valves."""
         super().__init__(rig)
         self._board = board
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
-        self._inbox = CommandInbox()
+        self._commands = commands
+        self._inbox = CommandInbox(valves)
         self._held = Step([], [])
         self._at_us: int | None = None
         self._wake_us = 0
@@ -113,7 +127,7 @@ class FirmwareRig(AroundCore[Core]):
 
     def _switch(self, now_us: int) -> None:
         """Commands the rig where the board has switched an output."""
-        if self._pass_on(now_us, set()):
+        if self._pass_on(now_us, frozenset()):
             self._keep(self._core.step(now_us))
         self._wake_us = now_us + self._board.wake_us
 
@@ -133,17 +147,18 @@ class FirmwareRig(AroundCore[Core]):
     def _exchange(self, now_us: int) -> Step:
         """What was received, to the board and to the rig; what they have to send."""
         inbox = self._inbox.take()
-        others = [frame for frame in inbox if frame.can_id not in (VALVES, CLUTCH)]
+        others = [frame for frame in inbox if frame.can_id not in self._commands]
         for frame in inbox:
             self._board.receive(frame)
-        self._pass_on(now_us, {frame.can_id for frame in inbox})
+        heard = [self._commands.get(frame.can_id, frozenset()) for frame in inbox]
+        self._pass_on(now_us, frozenset().union(*heard))
         for frame in others:
             self._core.receive(frame)
         self._keep(self._core.step(now_us))
         step, self._held = self._held, Step([], [])
         return step
 
-    def _pass_on(self, now_us: int, heard: set[int]) -> bool:
+    def _pass_on(self, now_us: int, heard: frozenset[int]) -> bool:
         """Commands to the rig of the outputs as they are: where one has been switched, where the
         board has heard a command, and often enough for the rig not to think that nobody is there.
         Whether there was one."""

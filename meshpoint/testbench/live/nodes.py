@@ -251,7 +251,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         return Exit.DONE
     wire = _wire_of(namespace, sheet)
     firmware = firmware_of(namespace)
-    around = around_rig(firmware)
+    around = None if firmware is None else around_rig(firmware, sheet, wire)
     words = gearbox_words(sheet, settings.preset, settings.profile, settings.as_built)
     if firmware is not None:
         words += f", firmware {firmware}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from meshpoint.bus.core import Step
+from meshpoint.bus.core import Core, Step
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
@@ -179,7 +179,9 @@ def simulate(
             reported = len(monitor.rows.rows)
 
     records, unwritten = Records(record or Path()), list[str]()
-    node = around_rig(setup.firmware)(rig)
+    node: Core = rig
+    if setup.firmware is not None:
+        node = around_rig(setup.firmware, setup.sheet, setup.wire)(rig)
     bench = virtual_bench(
         setup, controller, node if apart is None else Elsewhere(), operator,
         on_frame=take, on_event=on_event, records=None if record is None else records,
