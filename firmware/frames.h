@@ -70,6 +70,8 @@ void frames_put_valve_status(struct frame *frame, const struct valve_report *rep
 /* Writes the header and sends it; the next frame of this message counts on. */
 void frames_send(struct frame *frame, uint8_t *counter);
 
+/* All but the flags; false where it is no whole frame of this channel. */
+bool frames_get_edges(const struct frame *frame, unsigned channel, struct edge_read *read);
 void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]);
 /* False where the action is none of the DBC's. */
 bool frames_get_clutch_command(const struct frame *frame, bool *close);

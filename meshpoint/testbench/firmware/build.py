@@ -23,6 +23,7 @@ FLAGS: Final = (
 )  # fmt: skip
 SHARED: Final = ("-shared", "-fPIC")
 BOTH_IMAGES: Final = ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=1")
+TEETH: Final = ("-DIMAGE_SENSOR=0", "-DIMAGE_VALVE=0", "-DIMAGE_TEETH=1")
 FAILED_LINES: Final = 5
 """Of what the compiler said, as much is shown."""
 
@@ -53,10 +54,13 @@ def sources(folder: Path) -> list[Path]:
     return [*sorted(folder.glob("*.c")), folder / "native" / "native.c"]
 
 
-def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED) -> None:
+def compiled(
+    files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED,
+    image: Sequence[str] = BOTH_IMAGES,
+) -> None:  # fmt: skip
     """Compiles the files into `output`. CommandError where that fails, with the first lines of what
     the compiler said."""
-    command = [*compiler(), *FLAGS, *BOTH_IMAGES, *flags, "-o", str(output), *map(str, files)]
+    command = [*compiler(), *FLAGS, *image, *flags, "-o", str(output), *map(str, files)]
     try:
         done = subprocess.run(  # noqa: S603 (a compiler of this machine on files of the package)
             command, capture_output=True, text=True, check=False
@@ -68,11 +72,11 @@ def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED)
         raise CommandError(f"{command[0]}: the firmware was not compiled:\n{said}")
 
 
-def library(folder: Path) -> bytes:
+def library(folder: Path, image: Sequence[str] = BOTH_IMAGES) -> bytes:
     """The firmware as a shared library, from the cache of compiled code where it is there.
 
     folder: the sources. CommandError: it cannot be built."""
-    name = f"firmware-{_digest(folder)}{ENTRY}"
+    name = f"firmware-{_digest(folder, image)}{ENTRY}"
     for cache in kernel_folders():
         with suppress(OSError, UnusableEntryError):
             kept = cache.read(name)
@@ -80,7 +84,7 @@ def library(folder: Path) -> bytes:
                 return kept
     with tempfile.TemporaryDirectory() as made:
         output = Path(made) / "firmware.so"
-        compiled(sources(folder), output)
+        compiled(sources(folder), output, image=image)
         content = output.read_bytes()
     for cache in kernel_folders():
         with suppress(OSError):
@@ -89,9 +93,9 @@ def library(folder: Path) -> bytes:
     return content
 
 
-def _digest(folder: Path) -> str:
+def _digest(folder: Path, image: Sequence[str]) -> str:
     """Of all that decides what is compiled."""
-    digest = hashlib.sha256(repr([*compiler(), *FLAGS, sys.platform]).encode())
+    digest = hashlib.sha256(repr([*compiler(), *FLAGS, *image, sys.platform]).encode())
     for path in sorted(folder.rglob("*.[ch]")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:32]
