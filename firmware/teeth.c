@@ -25,7 +25,7 @@ static bool is_high[HAL_WHEELS], is_armed[HAL_WHEELS], is_rig;
 static uint32_t offset_us; /* own clock at a frame's arrival less the rig's at its read */
 static int32_t rest_us, earliest_us = INT32_MAX; /* by which it is wrong; of this second */
 static uint32_t step_us, steps, run, turned;
-uint32_t teeth_told, teeth_shown; /* for a debugger: edges; the difference came too late */
+uint32_t teeth_told, teeth_shown; /* edges since it was found, for a debugger */
 
 /* A pin that is low waits for a rising edge: those of a channel come in order, so none that is yet
  * to be heard is earlier. Falling edges passed over meanwhile are late when it is their turn. */
@@ -41,7 +41,7 @@ static void arm(unsigned wheel) {
 }
 
 void board_on_toggled(unsigned wheel) {
-    teeth_shown += is_rig;
+    teeth_shown++;
     is_high[wheel] = !is_high[wheel];
     is_armed[wheel] = false;
     arm(wheel);
@@ -65,9 +65,9 @@ void teeth_on_frame(const struct frame *frame) {
     unsigned fresh = (uint16_t)(read.newest_index - channel->newest);
     int32_t late_us = (int32_t)(now_us - read.read_us - offset_us);
     channel->newest = read.newest_index;
+    teeth_told += fresh;
     earliest_us = late_us < earliest_us ? late_us : earliest_us;
     if (is_rig && channel->e2e.state == E2E_VALID) { /* then 16 bits place what is new */
-        teeth_told += fresh;
         for (unsigned i = fresh < read.valid_stamps ? fresh : read.valid_stamps; i-- > 0;) {
             channel->edges_us[channel->in++] =
                 read.read_us - (uint16_t)(read.read_us - read.stamps_us[i]);
@@ -105,6 +105,7 @@ void teeth_poll(void) {
             if (is_rig != was_rig || rest_us < -JUMP_US || rest_us > JUMP_US) {
                 offset_us += (uint32_t)rest_us;
                 rest_us = 0;
+                teeth_told = teeth_shown = 0;
             }
         }
         int32_t by_us = (rest_us > 0) - (rest_us < 0);

@@ -11,18 +11,30 @@ sys.path.insert(0, str(Path(__file__).parent))
 from firmware_bench import CommandBench
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import compiler, library, source_folder
+from meshpoint.testbench.firmware.build import TEETH, compiler, library, source_folder
 from meshpoint.testbench.firmware.native_board import NativeBoard
 
 
 @pytest.fixture(scope="session")
-def built() -> bytes:
-    """The shared library; of other sources where run_mutants.py says so."""
+def sources() -> Path:
+    """The firmware's; others where run_mutants.py says so."""
     try:
         compiler()
     except CommandError as error:
         pytest.skip(str(error))
-    return library(Path(os.environ.get("MESHPOINT_FIRMWARE_SOURCES", source_folder())))
+    return Path(os.environ.get("MESHPOINT_FIRMWARE_SOURCES", source_folder()))
+
+
+@pytest.fixture(scope="session")
+def built(sources: Path) -> bytes:
+    """Both images on one board, as a shared library."""
+    return library(sources)
+
+
+@pytest.fixture(scope="session")
+def teeth_built(sources: Path) -> bytes:
+    """The image `teeth`."""
+    return library(sources, TEETH)
 
 
 @pytest.fixture
