@@ -77,6 +77,7 @@ void teeth_on_frame(const struct frame *frame) {
 }
 
 static void run_up(void) {
+    run = is_rig ? 0 : (run + 1) % RUN;
     uint32_t speed = run < RUN - run ? run : RUN - run;
     speed = speed < RAMP ? speed : RAMP;
     for (unsigned i = 0; i < HAL_WHEELS; i++) {
@@ -88,7 +89,6 @@ static void run_up(void) {
         }
         arm(i);
     }
-    run = is_rig ? 0 : (run + 1) % RUN;
     turned = run == 0 ? 0 : turned + speed;
 }
 
@@ -106,6 +106,9 @@ void teeth_poll(void) {
                 offset_us += (uint32_t)rest_us;
                 rest_us = 0;
                 teeth_told = teeth_shown = 0;
+                for (unsigned i = 0; i < HAL_CHANNELS; i++) {
+                    channels[i].out = channels[i].in; /* by the clock before */
+                }
             }
         }
         int32_t by_us = (rest_us > 0) - (rest_us < 0);

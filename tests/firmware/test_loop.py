@@ -218,5 +218,6 @@ def test_the_compiler_of_the_extra_builds_it_natively_and_for_a_cortex_m4(
     board.advance(2_000)
     assert (board.memory.own_us, board.memory.resets) == (2_000, 0)
     target = ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m4", "-c")
-    for file in sorted(folder.glob("*.c")):
-        build.compiled([file], tmp_path / f"{file.stem}.o", target)
+    for image in (build.BOTH_IMAGES, build.TEETH):
+        for file in sorted(folder.glob("*.c")):
+            build.compiled([file], tmp_path / f"{file.stem}.o", target, image)
