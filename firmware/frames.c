@@ -12,9 +12,12 @@ static void put32(uint8_t *to, uint32_t value) {
     put16(to + 2, (uint16_t)(value >> 16));
 }
 
+static uint16_t get16(const uint8_t *from) {
+    return (uint16_t)(from[0] | from[1] << 8);
+}
+
 static uint32_t get32(const uint8_t *from) {
-    return (uint32_t)from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 |
-           (uint32_t)from[3] << 24;
+    return get16(from) | (uint32_t)get16(from + 2) << 16;
 }
 
 uint16_t frames_data_id(uint32_t id) {
@@ -49,6 +52,16 @@ void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_r
     for (unsigned i = 0; i < EDGE_STAMPS; i++) {
         put16(frame->data + 10 + 2 * i, read->stamps_us[i]);
     }
+}
+
+bool frames_get_edges(const struct frame *frame, struct edge_read *read) {
+    read->read_us = get32(frame->data + AT_TIME);
+    read->newest_index = get16(frame->data + AT_CONTENT);
+    read->valid_stamps = frame->data[9] & 31;
+    for (unsigned i = 0; i < EDGE_STAMPS; i++) {
+        read->stamps_us[i] = get16(frame->data + 10 + 2 * i);
+    }
+    return read->valid_stamps <= EDGE_STAMPS;
 }
 
 void frames_put_gearbox_sensors(struct frame *frame, uint32_t sample_us,

@@ -75,6 +75,8 @@ void frames_put_valve_status(struct frame *frame, const struct valve_report *rep
 
 /* The time that each message of the sensor side begins with. */
 uint32_t frames_get_time(const struct frame *frame);
+/* All but the flags; false where it says more stamps than there are. */
+bool frames_get_edges(const struct frame *frame, struct edge_read *read);
 void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]);
 /* False where the action is none of the DBC's. */
 bool frames_get_clutch_command(const struct frame *frame, bool *close);

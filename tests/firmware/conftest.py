@@ -37,8 +37,14 @@ def folder() -> Path:
 
 @pytest.fixture(scope="session")
 def built(folder: Path) -> bytes:
-    """The shared library."""
+    """Both images on one board, as a shared library."""
     return library(folder)
+
+
+@pytest.fixture(scope="session")
+def teeth_built(folder: Path) -> bytes:
+    """The image `teeth`."""
+    return library(folder, IMAGES["teeth"])
 
 
 @pytest.fixture
