@@ -6,8 +6,8 @@
 
 enum {
     DELAY_US = 30000, /* 10 ms to the next read, 10 more where a frame is lost, 10 for the bus */
-    LEAST_AHEAD_US = 5, MOST_AHEAD_US = 100000, /* an edge; what is not within is not shown */
-    STEP_US = 4000, SECOND = 250, /* steps; the rig's clock is followed by 1 us each: 250 ppm */
+    LEAST_AHEAD_US = 5, MOST_AHEAD_US = 100000, /* of an edge; what is not within is not shown */
+    STEP_US = 4000, SECOND = 250, /* steps; in each the rig's clock is followed by 1 us, 250 ppm */
     JUMP_US = 20000,              /* a clock that is further off is another one */
     RAMP = 500, RUN = 2500,       /* the run-up, in steps: 2 s up, 6 s at the top, 2 s down */
     EDGE = SECOND * RAMP
@@ -21,11 +21,14 @@ static struct channel {
     uint8_t in, out;        /* of the ring: */
     uint32_t edges_us[256]; /* in the rig's clock */
 } channels[HAL_CHANNELS];
-static bool is_high[HAL_WHEELS], is_armed[HAL_WHEELS], is_rig;
-static uint32_t offset_us; /* own clock at a frame's arrival less the rig's at its read */
-static int32_t rest_us, earliest_us = INT32_MAX; /* by which it is wrong; of this second */
+static bool is_high[HAL_WHEELS], is_armed[HAL_WHEELS]; /* pins */
+static bool is_rig; /* one is played */
+/* Own clock at a frame's arrival less the rig's at its read; by how much that is yet to be changed,
+ * and by how much the earliest frame of this second came later. */
+static uint32_t offset_us;
+static int32_t rest_us, earliest_us = INT32_MAX;
 static uint32_t step_us, steps, run, turned;
-uint32_t teeth_told, teeth_shown; /* edges since it was found, for a debugger */
+uint32_t teeth_told, teeth_shown; /* edges since the rig was found, for a debugger */
 
 /* A pin that is low waits for a rising edge: those of a channel come in order, so none that is yet
  * to be heard is earlier. Falling edges passed over meanwhile are late when it is their turn. */
