@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.firmware.build import (
-    BOTH_IMAGES,
     IMAGES,
     compiled,
     source_folder,
@@ -19,15 +18,15 @@ from meshpoint.testbench.firmware.build import (
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
-@pytest.fixture(
-    scope="module", params=[BOTH_IMAGES, IMAGES["teeth"]], ids=["sensor and valve", "teeth"]
-)
+@pytest.fixture(scope="module", params=["both", "teeth"])
 def fuzzer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("cc") is None:
         pytest.skip("no cc here: the compiler of meshpoint[firmware] has no address sanitizer")
     path = tmp_path_factory.mktemp("fuzz") / "fuzz"
     folder = source_folder()
-    compiled([*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED, request.param)
+    compiled(
+        [*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED, IMAGES[request.param]
+    )
     return path
 
 

@@ -86,6 +86,9 @@ def test_a_sensor_board_reads_every_interval_that_the_rig_told(
         assert len({told_us for told_us, _ in channel.intervals_us}) > 100
         for told_us, read_us in channel.intervals_us:
             assert abs(read_us - told_us) <= 1 + SLEW * told_us
+        (from_us, first_us), (to_us, last_us) = channel.pairs[0], channel.pairs[-1]
+        drift_us = ppm * 1e-6 * (to_us - from_us)
+        assert last_us - to_us == pytest.approx(first_us - from_us + drift_us, abs=300.0)
 
 
 def test_a_frame_that_is_lost_costs_no_edge(boards: TwoBoards, rig: list[Timed]) -> None:
@@ -186,6 +189,17 @@ def test_a_rig_that_is_started_anew_is_found_like_the_first(
     boards.hear(anew)
     boards.advance_by(2 * DELAY_US)
     assert missed(read_back(anew, boards, from_us=begun_us + 2 * FOUND_US)) == 0
+
+
+def test_a_rig_whose_clock_jumps_ahead_is_found_by_the_next_second(
+    boards: TwoBoards, rig: list[Timed]
+) -> None:
+    """Until then its edges are of the far future, for which no pin waits."""
+    ahead = [(time_us - 2 * SECOND_US, frame) for time_us, frame in rig if time_us > 3_500_000]
+    boards.hear(each for each in rig if each[0] < ahead[0][0])
+    boards.hear(ahead)
+    boards.advance_by(2 * DELAY_US)
+    assert missed(read_back(ahead, boards, from_us=2_300_000), least=50) == 0
 
 
 def since_power_on(toggled_us: list[int]) -> list[int]:
