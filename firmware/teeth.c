@@ -42,6 +42,8 @@ struct rig_clock {
     int32_t earliest_us; /* by which the earliest frame of this second came later */
 };
 
+uint32_t teeth_told;
+uint32_t teeth_shown;
 static struct track tracks[HAL_CHANNELS];
 static struct pin pins[HAL_WHEELS];
 static struct rig_clock rig = {.earliest_us = INT32_MAX};
@@ -71,6 +73,7 @@ static void arm(unsigned wheel) {
 }
 
 void board_on_toggled(unsigned wheel) {
+    teeth_shown++;
     pins[wheel].is_high = !pins[wheel].is_high;
     pins[wheel].is_armed = false;
     arm(wheel);
@@ -81,6 +84,7 @@ static void hear(struct track *track, const struct edge_read *read, uint32_t now
     unsigned fresh = (uint16_t)(read->newest_index - track->newest);
     int32_t late_us = (int32_t)(now_us - read->read_us - rig.offset_us);
     track->newest = read->newest_index;
+    teeth_told += fresh;
     rig.earliest_us = late_us < rig.earliest_us ? late_us : rig.earliest_us;
     if (!rig.is_known || track->e2e.state != E2E_VALID) { /* 16 bits place what is new in a row */
         return;
@@ -134,6 +138,8 @@ static void find_clock(void) {
     }
     rig.offset_us += (uint32_t)rig.rest_us;
     rig.rest_us = 0;
+    teeth_told = 0;
+    teeth_shown = 0;
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         tracks[i].out = tracks[i].in; /* by the clock before */
     }

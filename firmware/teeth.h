@@ -4,6 +4,10 @@
 
 #include "hal.h"
 
+/* Edges since the rig was found, for a debugger. */
+extern uint32_t teeth_told;
+extern uint32_t teeth_shown;
+
 void teeth_poll(void);                          /* each millisecond */
 void teeth_on_frame(const struct frame *frame); /* interrupt */
 
