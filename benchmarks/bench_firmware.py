@@ -1,10 +1,12 @@
 """The firmware in the loop against the rig's own board: the same frames, and what it costs.
 
     python -m benchmarks.bench_firmware --shifts 1000 --profile typical --seed 1
+    python -m benchmarks.bench_firmware --firmware cortex-m4 --against native --shifts 40
 
-Both runs are made in turn, ten shifts from each seed (a hundred seeds for 1,000 shifts). Says how
-many frames were compared and which was the first that differs, and the speed of each. Ends with 1
-where one differs.
+It is the native build, or the linked image on the emulated board; --against another one, where it
+is not the rig's own board. Both runs are made in turn, ten shifts from each seed (a hundred seeds
+for 1,000 shifts). Says how many frames were compared and which was the first that differs, and the
+speed of each. Ends with 1 where one differs.
 """
 
 from __future__ import annotations
@@ -21,11 +23,13 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
+from meshpoint.testbench.firmware.board import Firmware
 from meshpoint.testbench.loop.schedules import MIXED
 from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import simulate
 
 SHIFTS_A_SEED = 10
+OWN = "the rig's own board"
 
 
 def traffic(setup: Setup) -> tuple[array[int], list[str], float, float]:
@@ -46,16 +50,22 @@ def main() -> int:
     parser.add_argument("--shifts", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--profile", default="typical", choices=[str(each) for each in Profile])
+    kinds = [str(each) for each in Firmware]
+    parser.add_argument("--firmware", default=str(Firmware.NATIVE), choices=kinds)
+    parser.add_argument("--against", choices=kinds, help="default: the rig's own board")
     given = parser.parse_args()
+    against = None if given.against is None else Firmware(given.against)
     frames = different = different_rows = 0
     spent_s, simulated_s = [0.0, 0.0], 0.0
     seeds = range(given.seed, given.seed + -(-given.shifts // SHIFTS_A_SEED))
     for seed in seeds:
         alone = Setup(
             load_sheet("truck12"), ControllerSettings(), seed=seed, shifts=SHIFTS_A_SEED,
-            pairs=MIXED, profile=Profile(given.profile),
+            pairs=MIXED, profile=Profile(given.profile), firmware=against,
         )  # fmt: skip
-        runs = [traffic(each) for each in (alone, replace(alone, has_firmware=True))]
+        runs = [
+            traffic(each) for each in (alone, replace(alone, firmware=Firmware(given.firmware)))
+        ]
         (own, own_rows, simulated, _), (firmware, rows, *_) = runs
         first = next((i for i, (a, b) in enumerate(zip_longest(own, firmware)) if a != b), None)
         frames += len(own)
@@ -72,8 +82,10 @@ def main() -> int:
     )
     alone_x, firmware_x = (simulated_s / each for each in spent_s)
     print(
-        f"{alone_x:.1f} x real time with the rig's own board, {firmware_x:.1f} x with the firmware "
-        f"({firmware_x / alone_x:.2f} of it); processor time, one core"
+        f"{alone_x:.1f} x real time with {given.against or OWN}, "
+        f"{firmware_x:.1f} x with {given.firmware} ({firmware_x / alone_x:.2f} of it); a "
+        f"second of the bus costs {1e3 / firmware_x - 1e3 / alone_x:.0f} ms more; processor time, "
+        "one core"
     )
     return int(different > 0)
 

@@ -21,8 +21,8 @@ def image(name: str, by: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / name
         subprocess.run(
-            [*cross_compiler(by), *CROSS_COMPILERS[by], "-std=c11", "-O2", "-ffreestanding", "-Wall",
-             "-Wextra", "-Werror", f"-Wl,-T,{source_folder() / 'g474' / 'link.ld'}",
+            [*cross_compiler(by), *CROSS_COMPILERS[by], "-std=c11", "-O2", "-ffreestanding",
+             "-Wall", "-Wextra", "-Werror", f"-Wl,-T,{source_folder() / 'g474' / 'link.ld'}",
              "-Wl,-e,on_reset", "-o", str(output), str(FOLDER / f"{name}.c")],
             check=True,
         )  # fmt: skip
@@ -45,8 +45,12 @@ class Program:
 
     def words(self, address: int, count: int) -> list[int]:
         """Of its memory."""
-        return list(struct.unpack(f"<{count}I", self.board.processor.read_memory(address, 4 * count)))
+        return list(
+            struct.unpack(f"<{count}I", self.board.processor.read_memory(address, 4 * count))
+        )
 
     def halfwords(self, address: int, count: int) -> list[int]:
         """Of its memory."""
-        return list(struct.unpack(f"<{count}H", self.board.processor.read_memory(address, 2 * count)))
+        return list(
+            struct.unpack(f"<{count}H", self.board.processor.read_memory(address, 2 * count))
+        )
