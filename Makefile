@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants digests demo docs test installed wheel acceptance kernels vcan silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed wheel acceptance kernels vcan silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -128,6 +128,17 @@ mutants: $(VENV)/test.stamp
 # The same for the firmware's slots, expiry and output stage, compiled anew each time.
 firmware-mutants: $(VENV)/test.stamp
 	$(BIN)/python tests/firmware/run_mutants.py $(ARGS)
+
+# What `pip install meshpoint[firmware]` brings, and Debian's packages for the board's processor.
+firmware-tools: $(VENV)/test.stamp locks/firmware.txt
+	tools/firmware-tools --install
+	$(INSTALL) --require-hashes -r locks/firmware.txt
+
+# cppcheck with its rules of MISRA C:2012, but for those of the list.
+firmware-lint:
+	cppcheck --quiet --std=c11 --platform=unix32 --enable=style,unusedFunction --addon=misra \
+	    -DIMAGE_SENSOR=1 -DIMAGE_VALVE=1 -DIMAGE_TEETH=0 --suppressions-list=tools/firmware-rules.txt \
+	    --error-exitcode=1 $$(find firmware -name '*.c' -not -path '*/native/*')
 
 test-containers:
 	tools/test-containers

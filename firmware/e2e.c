@@ -84,22 +84,24 @@ static enum finding find(struct e2e_channel *channel, enum e2e_status status) {
     return ones(channel->oks) >= needed ? ENOUGH : FEW;
 }
 
-void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us) {
+bool e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us) {
     enum finding finding = find(channel, status);
     enum e2e_state next = NEXT[channel->state][finding];
     if (finding == SILENT || (next == E2E_INVALID && channel->state != E2E_INVALID)) {
-        channel->oks = channel->errors = 0;
+        channel->oks = 0;
+        channel->errors = 0;
     }
     channel->state = next;
     if (status == E2E_OK) {
         channel->is_heard = true;
         channel->heard_us = own_us;
     }
+    return status == E2E_OK && next == E2E_VALID;
 }
 
 void e2e_watch(struct e2e_channel *channel, uint32_t own_us) {
     if (channel->is_heard && own_us - channel->heard_us >= SILENCE_US) {
         channel->is_heard = false;
-        e2e_update(channel, E2E_NO_NEW_DATA, own_us);
+        (void)e2e_update(channel, E2E_NO_NEW_DATA, own_us);
     }
 }

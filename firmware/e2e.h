@@ -29,8 +29,8 @@ void e2e_protect(uint8_t *data, unsigned length, uint16_t data_id, uint8_t count
 enum e2e_status e2e_check(struct e2e_channel *channel, const uint8_t *data, unsigned length,
                           uint16_t data_id);
 
-/* Moves the channel on by what was found of a frame. */
-void e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us);
+/* Moves the channel on by what was found of a frame; whether that one may be acted on. */
+bool e2e_update(struct e2e_channel *channel, enum e2e_status status, uint32_t own_us);
 
 /* Takes note of 50 ms without a good frame. Called each millisecond, and before a frame. */
 void e2e_watch(struct e2e_channel *channel, uint32_t own_us);

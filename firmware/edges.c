@@ -6,7 +6,8 @@ void edges_power_on(struct edge_channel *channel, uint32_t now_us) {
     for (unsigned i = 0; i < EDGE_STAMPS; i++) {
         channel->low_us[i] = 0;
     }
-    channel->newest = channel->valid = 0;
+    channel->newest = 0;
+    channel->valid = 0;
     channel->index = 0;
     channel->newest_us = now_us;
     channel->long_gaps = 0;

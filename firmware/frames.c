@@ -1,7 +1,5 @@
 #include "frames.h"
 
-#include "e2e.h"
-
 enum { AT_TIME = 3, AT_CONTENT = 7 };
 
 static void put16(uint8_t *to, uint16_t value) {
@@ -23,15 +21,20 @@ uint16_t frames_data_id(uint32_t id) {
     return (uint16_t)(0x4D00 | (id >> 8 & 0xFF));
 }
 
-bool frames_is(const struct frame *frame, uint32_t id, unsigned length) {
-    return frame->is_extended && frame->is_fd && frame->id == id && frame->length == length;
+enum e2e_status frames_check(struct e2e_channel *channel, const struct frame *frame, uint32_t id,
+                             unsigned length) {
+    if (!frame->is_extended || !frame->is_fd || frame->id != id || frame->length != length) {
+        return E2E_ERROR;
+    }
+    return e2e_check(channel, frame->data, length, frames_data_id(id));
 }
 
 /* An empty frame with its time, which all messages of ours have in the same place. */
 static void begin(struct frame *frame, uint32_t id, uint8_t length, uint32_t time_us) {
     frame->id = id;
     frame->length = length;
-    frame->is_extended = frame->is_fd = true;
+    frame->is_extended = true;
+    frame->is_fd = true;
     for (unsigned i = 0; i < sizeof frame->data; i++) {
         frame->data[i] = 0;
     }
@@ -84,6 +87,10 @@ void frames_send(struct frame *frame, uint8_t *counter) {
     e2e_protect(frame->data, frame->length, frames_data_id(frame->id), *counter);
     *counter = (uint8_t)(*counter + 1);
     hal_send(frame);
+}
+
+uint32_t frames_get_time(const struct frame *frame) {
+    return get32(frame->data + AT_TIME);
 }
 
 void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]) {

@@ -2,6 +2,7 @@
 #ifndef FRAMES_H
 #define FRAMES_H
 
+#include "e2e.h"
 #include "hal.h"
 
 enum { EDGE_STAMPS = 27 };
@@ -55,8 +56,9 @@ struct valve_order {
 /* The data ID of each message of ours, from its identifier's group number. */
 uint16_t frames_data_id(uint32_t id);
 
-/* Whether a frame is in the format of a message of ours. */
-bool frames_is(const struct frame *frame, uint32_t id, unsigned length);
+/* Judges a frame as one of this message: its format, CRC and counter. */
+enum e2e_status frames_check(struct e2e_channel *channel, const struct frame *frame, uint32_t id,
+                             unsigned length);
 
 /* Whole frames but for their header. */
 void frames_put_edges(struct frame *frame, unsigned channel, const struct edge_read *read);
@@ -70,6 +72,8 @@ void frames_put_valve_status(struct frame *frame, const struct valve_report *rep
 /* Writes the header and sends it; the next frame of this message counts on. */
 void frames_send(struct frame *frame, uint8_t *counter);
 
+/* The time that each message of the sensor side begins with. */
+uint32_t frames_get_time(const struct frame *frame);
 void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]);
 /* False where the action is none of the DBC's. */
 bool frames_get_clutch_command(const struct frame *frame, bool *close);

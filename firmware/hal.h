@@ -39,6 +39,13 @@ struct hal_scan {
 uint32_t hal_sensor_us(void);
 uint32_t hal_own_us(void);
 
+/* Sets the sensor clock on by so much, or back. */
+void hal_shift_sensor(int32_t by_us);
+
+/* Begins a pulse on the wire to a board that has valves alone, where it is a rising edge of the
+ * first wheel. */
+void hal_sync_pulse(void);
+
 /* Takes the oldest edge captured on a channel up to a sensor time; false where there is none. */
 bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us);
 
@@ -50,6 +57,9 @@ bool hal_scans(struct hal_scan scans[HAL_SCANS]);
 
 /* Puts a frame into the transmit queue, which keeps the order; what does not fit is lost. */
 void hal_send(const struct frame *frame);
+
+/* Whether all frames that were to be sent have gone. */
+bool hal_is_all_sent(void);
 
 /* Whether the CAN controller has taken itself off the bus. */
 bool hal_is_bus_off(void);

@@ -66,7 +66,12 @@ static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve) 
 
 void sensor_cycle(const struct hal_scan scans[HAL_SCANS]) {
     struct frame frame;
+    hal_lock(); /* nothing comes between a pulse and its time */
+    if (hal_is_all_sent()) { /* else a late frame would be taken for that of this pulse */
+        hal_sync_pulse();
+    }
     read_us = hal_sensor_us(); /* all wheels are read at the same microsecond */
+    hal_unlock();
     collect_to(read_us);
     send_edges();
     frames_put_gearbox_sensors(&frame, read_us, &scans[0]);

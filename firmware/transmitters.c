@@ -9,11 +9,14 @@ enum {
 
 /* A transmitter's value at 10 % of full scale, and how much more it is at 90 %. */
 struct range {
-    int32_t from, span;
+    int32_t from;
+    int32_t span;
 };
 
-static const struct range SLEEVE_UM = {-20000, 40000}, PRESSURE_20PA = {0, 50000},
-                          OIL_CENTIDEGREE = {4000, 26000}, CLUTCH_BASISPOINT = {0, 10000};
+static const struct range SLEEVE_UM = {-20000, 40000};
+static const struct range PRESSURE_20PA = {0, 50000};
+static const struct range OIL_CENTIDEGREE = {4000, 26000};
+static const struct range CLUTCH_BASISPOINT = {0, 10000};
 
 bool transmitter_is_broken(uint32_t reading) {
     return reading < BROKEN_LOW || reading > BROKEN_HIGH;

@@ -2,12 +2,14 @@
 
 #include "e2e.h"
 #include "outputs.h"
+#include "sync.h"
 #include "valves.h"
 
 enum { CLUTCH_EXPIRY_US = 100000, LONGEST_SLEEP_US = 1000000 };
 
 static struct valves valves;
-static struct e2e_channel valve_channel, clutch_channel;
+static struct e2e_channel valve_channel;
+static struct e2e_channel clutch_channel;
 static bool is_clutch_closed;
 static uint32_t clutch_expiry_us; /* own time; where it is closed */
 static uint8_t counter;
@@ -26,37 +28,42 @@ static uint32_t next_expiry_us(uint32_t own_us) {
     return own_us + wait_us;
 }
 
-/* Brings outputs and timers to what the rules say. */
-static void apply(void) {
-    outputs_drive(valves_wanted(&valves));
-    hal_wake_at_sensor(valves_next_us(&valves));
-    hal_wake_at_own(next_expiry_us(hal_own_us()));
-}
-
 /* Nothing is driven, nothing waits, and commands count anew once three good ones have come. */
 static void let_go(void) {
     static const struct e2e_channel UNHEARD;
     valves_clear(&valves);
     set_clutch(false);
     valve_channel = clutch_channel = UNHEARD;
-    apply();
+}
+
+/* Brings outputs and timers to what the rules say. */
+static void apply(void) {
+    if (hal_is_bus_off() || !sync_is_known()) {
+        let_go();
+    }
+    outputs_drive(valves_wanted(&valves));
+    hal_wake_at_sensor(valves_next_us(&valves));
+    hal_wake_at_own(next_expiry_us(hal_own_us()));
 }
 
 void valve_power_on(void) {
     static const struct valves EMPTY;
     valves = EMPTY;
     counter = 0;
-    let_go();
+    sync_power_on();
+    valve_on_fault();
 }
 
 void valve_on_fault(void) {
     let_go();
+    apply();
 }
 
 static void run(void) {
     uint32_t own_us = hal_own_us();
     e2e_watch(&valve_channel, own_us);
     e2e_watch(&clutch_channel, own_us);
+    sync_run(own_us);
     valves_run(&valves, hal_sensor_us(), own_us);
     if (is_clutch_closed && (int32_t)(own_us - clutch_expiry_us) >= 0) {
         set_clutch(false);
@@ -65,47 +72,30 @@ static void run(void) {
 
 void valve_on_time(void) {
     run();
-    if (hal_is_bus_off()) {
-        let_go();
-    } else {
-        apply();
-    }
-}
-
-/* Whether a frame of this channel may be acted on; `is_whole` says if its format is right. */
-static bool may_act(struct e2e_channel *channel, const struct frame *frame, bool is_whole) {
-    enum e2e_status status = E2E_ERROR;
-    if (is_whole) {
-        status = e2e_check(channel, frame->data, frame->length, frames_data_id(frame->id));
-    }
-    bool close;
-    if (status == E2E_OK && frame->id == ID_CLUTCH_COMMAND &&
-        !frames_get_clutch_command(frame, &close)) {
-        status = E2E_ERROR;
-    }
-    e2e_update(channel, status, hal_own_us());
-    return status == E2E_OK && channel->state == E2E_VALID;
+    apply();
 }
 
 static void command_valves(const struct frame *frame) {
-    struct valve_order orders[HAL_VALVES];
-    if (!may_act(&valve_channel, frame,
-                 frames_is(frame, ID_VALVE_COMMAND, LENGTH_VALVE_COMMAND))) {
-        return;
+    enum e2e_status status =
+        frames_check(&valve_channel, frame, ID_VALVE_COMMAND, LENGTH_VALVE_COMMAND);
+    if (e2e_update(&valve_channel, status, hal_own_us())) {
+        struct valve_order orders[HAL_VALVES];
+        frames_get_valve_command(frame, orders);
+        valves_command(&valves, orders, hal_sensor_us(), hal_own_us());
     }
-    frames_get_valve_command(frame, orders);
-    valves_command(&valves, orders, hal_sensor_us(), hal_own_us());
 }
 
 static void command_clutch(const struct frame *frame) {
-    if (!may_act(&clutch_channel, frame,
-                 frames_is(frame, ID_CLUTCH_COMMAND, LENGTH_CLUTCH_COMMAND))) {
-        return;
+    bool close = false;
+    enum e2e_status status =
+        frames_check(&clutch_channel, frame, ID_CLUTCH_COMMAND, LENGTH_CLUTCH_COMMAND);
+    if (status == E2E_OK && !frames_get_clutch_command(frame, &close)) {
+        status = E2E_ERROR;
     }
-    bool close;
-    frames_get_clutch_command(frame, &close);
-    set_clutch(close);
-    clutch_expiry_us = hal_own_us() + CLUTCH_EXPIRY_US;
+    if (e2e_update(&clutch_channel, status, hal_own_us())) {
+        set_clutch(close);
+        clutch_expiry_us = hal_own_us() + CLUTCH_EXPIRY_US;
+    }
 }
 
 void valve_on_frame(const struct frame *frame) {
@@ -117,6 +107,8 @@ void valve_on_frame(const struct frame *frame) {
         command_valves(frame);
     } else if (frame->id == ID_CLUTCH_COMMAND) {
         command_clutch(frame);
+    } else if (frame->id == ID_GEARBOX_SENSORS) {
+        sync_on_frame(frame);
     }
     apply();
 }

@@ -70,7 +70,8 @@ void valves_run(struct valves *valves, uint32_t sensor_us, uint32_t own_us) {
 void valves_clear(struct valves *valves) {
     valves->is_held = false;
     for (unsigned i = 0; i < HAL_VALVES; i++) {
-        valves->slots[i].is_on = valves->slots[i].pending.is_set = false;
+        valves->slots[i].is_on = false;
+        valves->slots[i].pending.is_set = false;
     }
 }
 

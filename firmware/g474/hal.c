@@ -2,6 +2,7 @@
 #include "../hal.h"
 
 #include "../board.h"
+#include "interrupts.h"
 #include "memory.h"
 #include "registers.h"
 
@@ -10,14 +11,25 @@ enum {
     QUEUE = 32      /* frames behind the three of the FDCAN */
 };
 
-volatile uint16_t edges_low_us[HAL_CHANNELS][RING], scans_raw[HAL_SCANS][TRANSMITTERS];
+/* A ring of captured edges. */
+struct input {
+    uint16_t taken;  /* where the next edge is taken */
+    uint16_t end;    /* and where none was as it was looked at, */
+    uint32_t end_us; /* by the sensor clock then */
+    volatile bool is_overrun;
+};
+
+volatile uint16_t edges_low_us[HAL_CHANNELS][RING];
+volatile uint16_t scans_raw[HAL_SCANS][TRANSMITTERS];
 volatile uint16_t levels_raw[HAL_WHEELS];
 volatile bool is_due;
-static uint16_t taken[HAL_CHANNELS]; /* where in the ring the next edge is taken */
+static struct input inputs[HAL_CHANNELS];
 static uint8_t lost[HAL_WHEELS];
-static volatile bool is_scan, is_fed = true; /* not before the first tick: it has a window */
+static volatile bool is_scan;
+static volatile bool is_fed = true; /* until the first tick: the watchdog has a window */
 static struct frame queue[QUEUE];
-static uint32_t queued, sent; /* frames since power-on */
+static uint32_t queued; /* frames since power-on */
+static uint32_t sent;
 
 uint32_t hal_sensor_us(void) {
     return TIM2->CNT;
@@ -27,32 +39,42 @@ uint32_t hal_own_us(void) {
     return TIM5->CNT;
 }
 
-/* Half and end of a ring passed since the last look are more than half a ring of edges, of which
- * some may have been written over. */
-static bool is_overrun(unsigned channel) {
-    uint32_t both = (BIT(1) | BIT(2)) << 4 * channel, passed = DMA1->ISR & both;
-    if (passed != 0) {
-        DMA1->IFCR = passed;
+void hal_sync_pulse(void) { /* until the next tick */
+    GPIOA->BSRR = BIT(8);
+}
+
+void hal_shift_sensor(int32_t by_us) {
+    TIM2->CNT += (uint32_t)by_us;
+}
+
+/* Looks how far an input's ring is filled. The time is read behind the ring's end: no edge up to
+ * there is later. */
+static void look(struct input *input, unsigned channel) {
+    input->end = (uint16_t)((RING - DMA1->CH[channel].CNDTR) % RING);
+    if (input->is_overrun) {
+        input->is_overrun = false;
+        input->taken = input->end;
+        lost[channel / 2] = LOST_LOOKS;
     }
-    return passed == both;
+    if (input->taken != input->end) {
+        input->end_us = TIM2->CNT;
+    }
 }
 
 bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
-    uint32_t next = (RING - DMA1->CH[channel].CNDTR) % RING;
-    if (is_overrun(channel)) {
-        lost[channel / 2] = LOST_LOOKS;
-        taken[channel] = (uint16_t)next;
+    struct input *input = &inputs[channel];
+    if (input->taken == input->end || input->is_overrun) {
+        look(input, channel);
     }
-    if (taken[channel] == next) {
+    if (input->taken == input->end) {
         return false;
     }
-    /* A stamp has 16 bits, and is less than 65 ms old. The time is read behind the ring's end. */
-    uint32_t now_us = TIM2->CNT;
-    *stamp_us = now_us - (uint16_t)(now_us - edges_low_us[channel][taken[channel]]);
+    /* A stamp has 16 bits, and is less than 65 ms old. */
+    *stamp_us = input->end_us - (uint16_t)(input->end_us - edges_low_us[channel][input->taken]);
     if ((int32_t)(until_us - *stamp_us) < 0) {
         return false;
     }
-    taken[channel] = (uint16_t)((taken[channel] + 1) % RING);
+    input->taken = (uint16_t)((input->taken + 1) % RING);
     return true;
 }
 
@@ -103,7 +125,8 @@ static void get_element(const struct can_element *element, struct frame *frame) 
 static void transmit(void) {
     while (sent != queued && !(FDCAN1->TXFQS & BIT(21))) {
         uint32_t place = FDCAN1->TXFQS >> 16 & 3;
-        put_element(&FDCAN1_RAM->tx[place], &queue[sent++ % QUEUE]);
+        put_element(&FDCAN1_RAM->tx[place], &queue[sent % QUEUE]);
+        sent++;
         FDCAN1->TXBAR = BIT(place);
     }
 }
@@ -111,10 +134,15 @@ static void transmit(void) {
 void hal_send(const struct frame *frame) {
     hal_lock();
     if (queued - sent < QUEUE) {
-        queue[queued++ % QUEUE] = *frame;
+        queue[queued % QUEUE] = *frame;
+        queued++;
     }
     transmit();
     hal_unlock();
+}
+
+bool hal_is_all_sent(void) {
+    return sent == queued && FDCAN1->TXBRP == 0;
 }
 
 /* A controller that is off the bus comes back by itself once it is let: what waited is old then. */
@@ -148,7 +176,6 @@ static void wake(unsigned unit, uint32_t own_us) {
     if ((int32_t)(own_us - TIM5->CNT) <= 0) {
         TIM5->EGR = BIT(unit + 1);
     }
-    TIM5->DIER |= BIT(unit + 1);
 }
 
 void hal_wake_at_sensor(uint32_t sensor_us) {
@@ -175,7 +202,23 @@ void hal_unlock(void) {
     __asm volatile("cpsie i" ::: "memory");
 }
 
+/* Half and end of a ring passed within a tick are more than half a ring of edges, of which some may
+ * have been written over. */
+static void watch_rings(void) {
+    uint32_t passed = DMA1->ISR & UINT32_C(0x66666666);
+    if (passed == 0) {
+        return;
+    }
+    DMA1->IFCR = passed;
+    for (unsigned i = 0; i < HAL_CHANNELS; i++) {
+        if ((passed >> 4 * i & 6) == 6) {
+            inputs[i].is_overrun = true;
+        }
+    }
+}
+
 void on_tick(void) {
+    watch_rings();
     is_due = true;
     is_fed = false;
     GPIOA->BSRR = BIT(8 + 16);
@@ -192,15 +235,15 @@ void on_wake(void) {
 }
 
 void on_can(void) {
-    uint32_t events = FDCAN1->IR, status;
+    uint32_t events = FDCAN1->IR;
     struct frame frame;
     FDCAN1->IR = events;
-    while ((status = FDCAN1->RXF0S) & 15) {
+    for (uint32_t status = FDCAN1->RXF0S; (status & 15) != 0; status = FDCAN1->RXF0S) {
         get_element(&FDCAN1_RAM->rx0[status >> 8 & 3], &frame);
         FDCAN1->RXF0A = status >> 8 & 3;
         board_on_frame(&frame);
     }
-    if (events & BIT(19)) {
+    if ((events & BIT(19)) != 0) {
         board_on_time();
     }
     transmit();

@@ -48,9 +48,10 @@ struct can_ram {
 #define ADC1 AT(struct adc, 0x50000000)
 #define ADC2 AT(struct adc, 0x50000100)
 #define ADC12_CCR AT(reg, 0x50000308)
-#define SYSTICK AT(reg, 0xE000E010) /* CSR, RVR, CVR */
-#define NVIC_ISER AT(reg, 0xE000E100)
+#define SYSTICK AT(reg, 0xE000E010U) /* CSR, RVR, CVR */
+#define NVIC_ISER AT(reg, 0xE000E100U)
 
 #define BIT(n) (UINT32_C(1) << (n))
+#define FIELD(value, at) ((uint32_t)(value) << (at)) /* `at`: its lowest bit */
 
 #endif

@@ -1,5 +1,6 @@
 /* Clocks, pins, timers, converters, CAN and watchdog of the board, and the main loop. */
 #include "../board.h"
+#include "interrupts.h"
 #include "memory.h"
 #include "registers.h"
 
@@ -10,7 +11,7 @@ static void pin(struct gpio *port, unsigned number, uint32_t mode, uint32_t func
     port->MODER = (port->MODER & ~(UINT32_C(3) << 2 * number)) | mode << 2 * number;
 }
 
-static void wait_for(reg *status, uint32_t bit) {
+static void wait_for(const reg *status, uint32_t bit) {
     while (!(*status & bit)) {
     }
 }
@@ -20,7 +21,7 @@ static void start_clocks(void) {
     *FLASH_ACR = (*FLASH_ACR & ~UINT32_C(15)) | 2; /* wait states of 80 MHz */
     RCC->CR |= BIT(16);
     wait_for(&RCC->CR, BIT(17));
-    RCC->PLLCFGR = 3 | 5 << 4 | 40 << 8 | BIT(24);
+    RCC->PLLCFGR = 3 | FIELD(5, 4) | FIELD(40, 8) | BIT(24);
     RCC->CR |= BIT(24);
     wait_for(&RCC->CR, BIT(25));
     RCC->CFGR |= 3;
@@ -28,7 +29,7 @@ static void start_clocks(void) {
     RCC->AHB1ENR |= BIT(0) | BIT(1) | BIT(2);                     /* DMA1, DMA2, DMAMUX */
     RCC->AHB2ENR |= BIT(0) | BIT(1) | BIT(2) | BIT(13);           /* GPIOA, B, C, ADC1 and 2 */
     RCC->APB1ENR1 |= BIT(0) | BIT(1) | BIT(3) | BIT(4) | BIT(25); /* TIM2, 3, 5, 6, FDCAN */
-    RCC->CCIPR |= 2 << 24;                                        /* FDCAN by PCLK1 */
+    RCC->CCIPR |= FIELD(2, 24);                                   /* FDCAN by PCLK1 */
 }
 
 static void start_pins(void) {
@@ -64,14 +65,15 @@ static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg 
 
 static void count_microseconds(struct tim *tim) {
     tim->PSC = MHZ - 1;
-    tim->ARR = tim == TIM2 || tim == TIM5 ? UINT32_MAX : UINT16_MAX; /* bits above are reserved */
+    tim->ARR = tim == TIM2 || tim == TIM5 ? UINT32_MAX : UINT16_MAX; /* as wide as they are */
     tim->EGR = BIT(0); /* the prescaler is taken over */
     tim->SR = 0;
 }
 
 #if IMAGE_TEETH
 static void start_wheels(void) { /* each pin changes as its time has come */
-    TIM2->CCMR[0] = TIM2->CCMR[1] = 0x3030;
+    TIM2->CCMR[0] = 0x3030;
+    TIM2->CCMR[1] = 0x3030;
     TIM2->CCER = 0x1111;
 }
 #else
@@ -80,7 +82,8 @@ static void start_capture(struct tim *tim, unsigned first, uint32_t request) {
     for (unsigned i = 0; i < 4; i++) {
         start_ring(DMA1, first + i, request + i, &tim->CCR[i], edges_low_us[first + i], RING, 0);
     }
-    tim->CCMR[0] = tim->CCMR[1] = 0x0201;
+    tim->CCMR[0] = 0x0201;
+    tim->CCMR[1] = 0x0201;
     tim->CCER = 0x3131;
     tim->DIER = BIT(9) | BIT(10) | BIT(11) | BIT(12);
 }
@@ -97,11 +100,14 @@ static void start_timers(void) {
     count_microseconds(TIM5);
     count_microseconds(TIM6);
     start_wheels();
-    TIM3->SMCR = 6 | 1 << 4; /* started by TIM2, it is the lower half of it */
-    TIM2->CR2 = 1 << 4;
+    TIM3->SMCR = 6 | FIELD(1, 4); /* started by TIM2, it is the lower half of it */
+    TIM2->CR2 = FIELD(1, 4);
     TIM6->ARR = 1000 - 1; /* a scan each millisecond */
-    TIM6->CR2 = 2 << 4;
-    TIM5->CR1 = TIM2->CR1 = TIM6->CR1 = BIT(0);
+    TIM6->CR2 = FIELD(2, 4);
+    TIM5->DIER = BIT(1) | BIT(2); /* two times at which to wake */
+    TIM2->CR1 = BIT(0);
+    TIM5->CR1 = BIT(0);
+    TIM6->CR1 = BIT(0);
 }
 
 static void wait_us(unsigned us) { /* at least */
@@ -114,25 +120,25 @@ static void start_adc(struct adc *adc, uint32_t oversampling) {
     adc->CR = BIT(28);
     wait_us(20);
     adc->CR |= BIT(31); /* calibrates itself */
-    while (adc->CR & BIT(31)) {
+    while ((adc->CR & BIT(31)) != 0) {
     }
     wait_us(1);
     adc->ISR = BIT(0);
     adc->CR |= BIT(0);
     wait_for(&adc->ISR, BIT(0));
-    adc->CFGR = BIT(0) | BIT(1) | 13 << 5 | BIT(10) | BIT(12); /* by TIM6, to the ring */
+    adc->CFGR = BIT(0) | BIT(1) | FIELD(13, 5) | BIT(10) | BIT(12); /* by TIM6, to the ring */
     adc->CFGR2 = oversampling;
     adc->CR |= BIT(2);
 }
 
 static void start_converters(void) {
-    *ADC12_CCR = 2 << 16; /* 40 MHz: 8 inputs of 256 * 15 clocks take 0.77 ms */
-    ADC1->SQR[0] = 7 | 6 << 6 | 7 << 12 | 8 << 18 | 9 << 24;
-    ADC1->SQR[1] = 12 | 14 << 6 | 11 << 12 | 2 << 18;
-    ADC2->SQR[0] = 3 | 4 << 6 | 5 << 12 | 11 << 18 | 17 << 24;
+    *ADC12_CCR = FIELD(2, 16); /* 40 MHz: 8 inputs of 256 * 15 clocks take 0.77 ms */
+    ADC1->SQR[0] = 7 | FIELD(6, 6) | FIELD(7, 12) | FIELD(8, 18) | FIELD(9, 24);
+    ADC1->SQR[1] = 12 | FIELD(14, 6) | FIELD(11, 12) | FIELD(2, 18);
+    ADC2->SQR[0] = 3 | FIELD(4, 6) | FIELD(5, 12) | FIELD(11, 18) | FIELD(17, 24);
     start_ring(DMA2, 0, 5, &ADC1->DR, scans_raw[0], TRANSMITTERS * HAL_SCANS, BIT(1));
     start_ring(DMA2, 1, 36, &ADC2->DR, levels_raw, HAL_WHEELS, 0);
-    start_adc(ADC1, BIT(0) | 7 << 2 | 4 << 5);
+    start_adc(ADC1, BIT(0) | FIELD(7, 2) | FIELD(4, 5));
     start_adc(ADC2, 0);
 }
 
@@ -147,10 +153,11 @@ static void start_can(void) {
     wait_for(&FDCAN1->CCCR, BIT(0));
     FDCAN1->CCCR = BIT(0) | BIT(1);
     FDCAN1->CCCR = BIT(0) | BIT(1) | BIT(8) | BIT(9);
-    FDCAN1->NBTP = UINT32_C(15) << 25 | 1 << 16 | 62 << 8 | 15;
-    FDCAN1->DBTP = BIT(23) | 1 << 16 | 14 << 8 | 3 << 4 | 3;
-    FDCAN1->TDCR = 32 << 8; /* the transmitter looks at its own bit at 80 % too */
-    FDCAN1->RXGFC = BIT(0) | BIT(1) | 2 << 2 | 2 << 4 | 2 << 24; /* else nothing is heard */
+    FDCAN1->NBTP = FIELD(15, 25) | FIELD(1, 16) | FIELD(62, 8) | 15;
+    FDCAN1->DBTP = BIT(23) | FIELD(1, 16) | FIELD(14, 8) | FIELD(3, 4) | 3;
+    FDCAN1->TDCR = FIELD(32, 8); /* the transmitter looks at its own bit at 80 % too */
+    /* Nothing is heard but what one of two filters lets through. */
+    FDCAN1->RXGFC = BIT(0) | BIT(1) | FIELD(2, 2) | FIELD(2, 4) | FIELD(2, 24);
     hear(0, 0x0CFF4003, 0x0CFF9103); /* commands, of either profile */
     hear(1, 0x18FF1080, 0x18FF2080); /* edges and the sensors' time: teeth, a second board */
     FDCAN1->TXBTIE = 7;
@@ -164,7 +171,7 @@ static void start_watchdog(void) {
     IWDG->KR = 0xCCCC;
     IWDG->KR = 0x5555;
     IWDG->RLR = 15;
-    while (IWDG->SR) {
+    while (IWDG->SR != 0) {
     }
     IWDG->WINR = 12;
 }

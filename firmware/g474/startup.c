@@ -2,38 +2,35 @@
 #include <stddef.h>
 
 #include "../board.h"
-#include "registers.h"
+#include "interrupts.h"
 
-extern uint32_t _stack_end, _data_load, _data, _data_end, _bss, _bss_end;
-
-int main(void);
-void on_reset(void);
-void on_tick(void), on_can(void), on_wake(void), on_scan(void), on_toggle(void);
+/* Of link.ld. */
+extern uint32_t _stack_end;
+extern uint32_t _data_load;
+extern uint32_t _data;
+extern uint32_t _data_end;
+extern uint32_t _bss;
+extern uint32_t _bss_end;
 
 /* Compilers call these two for whole structures. */
-void *memcpy(void *restrict to, const void *restrict from, size_t count) {
-    for (volatile uint8_t *out = to; count-- > 0;) {
-        *out++ = *(const uint8_t *)from;
-        from = (const uint8_t *)from + 1;
+void *memcpy(void *to, const void *from, size_t count) {
+    for (size_t i = 0; i < count; i++) {
+        ((volatile uint8_t *)to)[i] = ((const uint8_t *)from)[i];
     }
     return to;
 }
 
 void *memset(void *to, int value, size_t count) {
-    for (volatile uint8_t *out = to; count-- > 0;) {
-        *out++ = (uint8_t)value;
+    for (size_t i = 0; i < count; i++) {
+        ((volatile uint8_t *)to)[i] = (uint8_t)value;
     }
     return to;
 }
 
 void on_reset(void) {
-    for (uint32_t *from = &_data_load, *to = &_data; to < &_data_end;) {
-        *to++ = *from++;
-    }
-    for (uint32_t *to = &_bss; to < &_bss_end;) {
-        *to++ = 0;
-    }
-    main();
+    (void)memcpy(&_data, &_data_load, (size_t)((uint8_t *)&_data_end - (uint8_t *)&_data));
+    (void)memset(&_bss, 0, (size_t)((uint8_t *)&_bss_end - (uint8_t *)&_bss));
+    (void)main();
 }
 
 /* A fault of the processor, or an interrupt that nobody has asked for: everything off, and the

@@ -12,6 +12,14 @@ uint32_t hal_own_us(void) {
     return native.own_us;
 }
 
+void hal_shift_sensor(int32_t by_us) {
+    native.sensor_us += (uint32_t)by_us;
+}
+
+void hal_sync_pulse(void) {
+    native.pulse_count++;
+}
+
 bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us) {
     uint32_t *out = &native.edges_out[channel];
     if (*out == native.edges_in[channel]) {
@@ -42,6 +50,10 @@ void hal_send(const struct frame *frame) {
     if (native.sent_count < NATIVE_SENT) {
         native.sent[native.sent_count++] = *frame;
     }
+}
+
+bool hal_is_all_sent(void) {
+    return native.is_sending == 0;
 }
 
 bool hal_is_bus_off(void) {

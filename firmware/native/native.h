@@ -23,11 +23,13 @@ struct native {
     uint32_t change_count;
     uint32_t clutch_orders; /* how often its output was set since power-on */
     uint32_t sent_count;
+    uint32_t pulse_count; /* on the wire to a board with valves alone */
     uint16_t driven;
     uint8_t is_wake_sensor_set;
     uint8_t is_wake_own_set;
     uint8_t is_clutch_closed;
     uint8_t is_bus_off;
+    uint8_t is_sending; /* a frame waits for the bus */
     uint8_t has_scans;
     uint8_t bad_wheels;
     uint8_t is_stuck;                             /* the main loop */

@@ -191,33 +191,8 @@ SENSOR_SIDE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("sensor", "valve", "sent"), [(1, 0, SENSOR_SIDE), (0, 1, {"ValveStatus"})]
-)
-def test_each_image_does_its_own_part_alone(
-    built: bytes, tmp_path: Path, sensor: int, valve: int, sent: set[str]
-) -> None:
-    flags = (*build.SHARED, "-UIMAGE_SENSOR", "-UIMAGE_VALVE", f"-DIMAGE_SENSOR={sensor}",
-             f"-DIMAGE_VALVE={valve}")  # fmt: skip
-    build.compiled(build.sources(build.source_folder()), tmp_path / "image.so", flags)
-    bench = CommandBench(NativeBoard((tmp_path / "image.so").read_bytes()))
-    bench.command(brake=ValveAction.ON_NOW)
-    assert bench.driven == ({"brake"} if valve else set())
-    assert set(bench.read()) == sent
-
-
-@pytest.mark.long
-def test_the_compiler_of_the_extra_builds_it_natively_and_for_a_cortex_m4(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    pytest.importorskip("ziglang", reason="meshpoint[firmware] is not installed")
-    monkeypatch.setattr(build.shutil, "which", lambda _: None)
-    folder = build.source_folder()
-    build.compiled(build.sources(folder), tmp_path / "firmware.so")
-    board = NativeBoard((tmp_path / "firmware.so").read_bytes())
-    board.power_on(sensor_us=0)
-    board.advance(2_000)
-    assert (board.memory.own_us, board.memory.resets) == (2_000, 0)
-    target = ("-target", "thumb-freestanding-eabi", "-mcpu=cortex_m4", "-c")
-    for file in sorted(folder.glob("*.c")):
-        build.compiled([file], tmp_path / f"{file.stem}.o", target)
+@pytest.mark.parametrize(("image", "sent"), [("sensor", SENSOR_SIDE), ("valve", {"ValveStatus"})])
+def test_each_image_sends_its_own_part_alone(built: bytes, image: str, sent: set[str]) -> None:
+    options = build.IMAGES[image]
+    board = NativeBoard(build.library(build.source_folder(), options))
+    assert set(CommandBench(board).read()) == sent

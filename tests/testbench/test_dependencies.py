@@ -18,8 +18,9 @@ FOLDERS = ("controller", "dbc", "meshpoint", "rig_sim")
 INSTALLS = {"autosar_e2e": "autosar-e2e", "e2e": "autosar-e2e", "can": "python-can"}
 """Where a package is imported by another name than it is installed by."""
 OPTIONAL = {"dask": "distributed", "cryptography": "cryptography", "foxglove": "foxglove-sdk",
-            "pythonfmu3": "pythonfmu3"}  # fmt: skip
-"""Imported by `campaign --dask`, `--keys`, `convert` and `fmu` alone, which name their extras."""
+            "pythonfmu3": "pythonfmu3", "unicorn": "unicorn", "ziglang": "ziglang"}  # fmt: skip
+"""Used by `campaign --dask`, `--keys`, `convert`, `fmu` and `--firmware` alone, which name their
+extras."""
 LOADS_US = {"pytest_plugin.py": "pytest"}
 """A file that is loaded by that package alone."""
 
@@ -49,6 +50,5 @@ def test_what_a_folder_imports_is_always_installed(folder: str) -> None:
 def test_the_extras_of_earlier_versions_are_still_names() -> None:
     extras = SETTINGS["project"]["optional-dependencies"]
     assert {"all", "campaign", "plot", "report"} <= set(extras)
-    assert names(
-        [*extras["dask"], *extras["authentication"], *extras["mcap"], *extras["fmu"]]
-    ) == set(OPTIONAL.values())
+    optional = ("dask", "authentication", "mcap", "fmu", "firmware")
+    assert names([each for name in optional for each in extras[name]]) == set(OPTIONAL.values())

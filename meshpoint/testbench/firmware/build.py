@@ -112,11 +112,12 @@ def _run(command: list[str], files: Sequence[Path], output: Path) -> None:
         raise CommandError(f"{command[0]}: the firmware was not compiled:\n{said}")
 
 
-def library(folder: Path) -> bytes:
+def library(folder: Path, options: Sequence[str] = BOTH_IMAGES) -> bytes:
     """The firmware as a shared library, from the cache of compiled code where it is there.
 
-    folder: the sources. CommandError: it cannot be built."""
-    return _kept(folder, [*compiler(), *FLAGS, *BOTH_IMAGES, *SHARED], sources(folder))
+    folder: the sources; options: of the firmware, one of IMAGES. CommandError: it cannot be
+    built."""
+    return _kept(folder, [*compiler(), *FLAGS, *options, *SHARED], sources(folder))
 
 
 def image(folder: Path, name: str, by: str) -> bytes:
