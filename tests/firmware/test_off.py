@@ -102,7 +102,7 @@ def test_every_valve_of_a_board_without_sensors_is_off_as_well(boards: TwoBoards
 
 
 def test_the_emulated_board_is_as_safe_in_some_of_them(emulated: EmulatedBoard) -> None:
-    go_through_all(CommandBench(emulated), ENDS, 240, after_us=1_000)
+    go_through_all(CommandBench(emulated), ENDS, 120, after_us=1_000)
 
 
 @pytest.mark.long
