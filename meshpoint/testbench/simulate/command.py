@@ -163,9 +163,7 @@ def _add_firmware(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _firmware(
-    namespace: argparse.Namespace, faults: tuple[ScheduledFault, ...]
-) -> Firmware | None:
+def _firmware(namespace: argparse.Namespace, faults: tuple[ScheduledFault, ...]) -> Firmware | None:
     """As it is asked for; CommandError where the run is none for it."""
     if namespace.firmware is None:
         return None
