@@ -1,8 +1,10 @@
 """The firmware in the loop against the rig's own board: the same frames, and what it costs.
 
     python -m benchmarks.bench_firmware --shifts 1000 --profile typical --seed 1
+    python -m benchmarks.bench_firmware --firmware cortex-m4 --against native --shifts 40
 
-Both runs are made in turn, ten shifts from each seed (a hundred seeds for 1,000 shifts). Says how
+Of the native build, or the linked image on the emulated board; --against another one, where it is
+not the rig's own board. Both runs are made in turn, ten shifts from each seed (a hundred seeds for 1,000 shifts). Says how
 many frames were compared and which was the first that differs, the speed of each, and how many of
 the aimed shifts met a gap first with each. Ends with 1 where a frame differs.
 """
@@ -32,6 +34,7 @@ from meshpoint.testbench.loop.simulate import simulate
 from meshpoint.testbench.results.rows import ShiftRow, is_aimed
 
 SHIFTS_A_SEED = 10
+OWN = "the rig's own board"
 
 
 def traffic(setup: Setup) -> tuple[array[int], list[ShiftRow], float, float]:
@@ -74,6 +77,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--profile", default="typical", choices=[str(each) for each in Profile])
     parser.add_argument("--firmware", type=Firmware, default="native", choices=list(Firmware))
+    parser.add_argument("--against", type=Firmware, choices=list(Firmware),
+                        help="default: the rig's own board")  # fmt: skip
     parser.add_argument("--pairs", default="mixed", choices=list(SCHEDULES))
     given = parser.parse_args()
     pairs: list[tuple[int, ShiftRow, ShiftRow]] = []
@@ -83,7 +88,7 @@ def main() -> int:
     for seed in seeds:
         alone = Setup(
             load_sheet("truck12"), ControllerSettings(), seed=seed, shifts=SHIFTS_A_SEED,
-            pairs=SCHEDULES[given.pairs], profile=Profile(given.profile),
+            pairs=SCHEDULES[given.pairs], profile=Profile(given.profile), firmware=given.against,
         )  # fmt: skip
         runs = [traffic(each) for each in (alone, replace(alone, firmware=given.firmware))]
         (own, own_rows, simulated, _), (firmware, rows, *_) = runs
@@ -105,8 +110,10 @@ def main() -> int:
     )
     alone_x, firmware_x = (simulated_s / each for each in spent_s)
     print(
-        f"{alone_x:.1f} x real time with the rig's own board, {firmware_x:.1f} x with the firmware "
-        f"({firmware_x / alone_x:.2f} of it); processor time, one core"
+        f"{alone_x:.1f} x real time with {given.against or OWN}, "
+        f"{firmware_x:.1f} x with {given.firmware} ({firmware_x / alone_x:.2f} of it); a "
+        f"second of the bus costs {1e3 / firmware_x - 1e3 / alone_x:.0f} ms more; processor time, "
+        "one core"
     )
     return int(different > 0)
 

@@ -32,9 +32,10 @@ def test_sleep_ends_with_each_tick(cross: str) -> None:
 
 @pytest.mark.parametrize(
     ("part", "status", "address"),
-    [(0, 1 << 9 | 1 << 15, 0x6000_0004), (1, 1 << 16, 0), (2, 1 << 8, 0)],
-    ids=["no memory", "no instruction", "no code"],
-)
+    [(0, 1 << 9 | 1 << 15, 0x6000_0004), (1, 1 << 16, 0), (2, 1 << 8, 0),
+     (5, 1 << 9 | 1 << 15, 0x0800_1000)],
+    ids=["no memory", "no instruction", "no code", "flash is written"],
+)  # fmt: skip
 def test_a_fault_comes_to_its_handler_with_its_status(
     cross: str, part: int, status: int, address: int
 ) -> None:

@@ -27,6 +27,9 @@ void on_reset(void) {
     } else if (IN == 4) {
         REG(0x40000028) = 79; /* TIM2.PSC, and RCC has not been asked for its clock */
     }
+    if (IN == 5) {
+        REG(0x08001000) = 1;
+    }
     for (;;) {
         __asm volatile("wfi");
     }

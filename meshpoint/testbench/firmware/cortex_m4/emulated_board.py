@@ -1,6 +1,6 @@
 """The board with its linked image: a chip, a processor, and what is at its pins (docs/firmware.md).
 
-Pins are those of docs/bench.md. Edges and scans of a cycle come at its read, as the rig tells them.
+Pins are those of docs/bench.md. Edges and scans of a cycle come at its read, when the rig has them.
 """
 
 from __future__ import annotations

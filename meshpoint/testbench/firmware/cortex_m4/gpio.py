@@ -22,7 +22,7 @@ class Mode(IntEnum):
 
 
 class Gpio(Peripheral):
-    """A port of 16 pins. `changed` is told of each write that may change an output."""
+    """A port of 16 pins. `changed` is called at each write that may change an output."""
 
     TABLE: ClassVar = {
         MODER: Register("MODER", reset=0xFFFF_FFFF),

@@ -58,6 +58,7 @@ class Iwdg(Peripheral):
 
     def step(self, now_us: int) -> None:  # noqa: ARG002 (of one form with the others)
         """Nobody has reloaded it."""
+        self.next_us = None
         self._reset()
 
     @property

@@ -101,8 +101,10 @@ class Processor:
             unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS,
             arm.UC_CPU_ARM_CORTEX_M4,
         )  # fmt: skip
+        read_only = unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC
         for memory in MEMORIES:
-            self.unicorn.mem_map(memory.start, len(memory))
+            protection = read_only if memory.start < FLASH.stop else unicorn.UC_PROT_ALL
+            self.unicorn.mem_map(memory.start, len(memory), protection)
         self._callbacks = [
             map_registers(self.unicorn, page, self._read, self._write) for page in pages
         ]
@@ -110,7 +112,7 @@ class Processor:
         self._wakes_at: set[int] = set()  # behind each WFI
         self._handlers: dict[int, int] = {}
         self.unicorn.hook_add(unicorn.UC_HOOK_INTR, self._on_exception)
-        self.unicorn.hook_add(unicorn.UC_HOOK_MEM_UNMAPPED, self._on_unmapped)
+        self.unicorn.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._on_bad_access)
         for address, content in segments:
             self.unicorn.mem_write(address, content)
             self.unicorn.mem_write(address - FLASH.start, content)
@@ -216,10 +218,13 @@ class Processor:
         self._pc = self._handler(self._nvic.vector(number))
 
     def _handler(self, vector: int) -> int:
-        """A handler's address; those in flash are always the same."""
-        if vector not in self._handlers:
-            self._handlers[vector] = struct.unpack("<I", self.read_memory(vector, 4))[0] & ~1
-        return self._handlers[vector]
+        """A handler's address; those in flash, at either place, are always the same."""
+        found = self._handlers.get(vector)
+        if found is None:
+            found = struct.unpack("<I", self.read_memory(vector, 4))[0] & ~1
+            if vector < FLASH.stop:
+                self._handlers[vector] = found
+        return found
 
     def _leave(self) -> None:
         """Returns from a handler: to the next one that waits, or to what was interrupted."""
@@ -283,7 +288,7 @@ class Processor:
         self._exception = number
         self.unicorn.emu_stop()
 
-    def _on_unmapped(self, _uc: Any, _kind: int, address: int, *_rest: Any) -> bool:
+    def _on_bad_access(self, _uc: Any, _kind: int, address: int, *_rest: Any) -> bool:
         self._bad_address = address
         return False
 
