@@ -4,9 +4,9 @@
     python -m benchmarks.bench_firmware --firmware cortex-m4 --against native --shifts 40
 
 Of the native build, or the linked image on the emulated board; --against another one, where it is
-not the rig's own board. Both runs are made in turn, ten shifts from each seed (a hundred seeds for 1,000 shifts). Says how
-many frames were compared and which was the first that differs, the speed of each, and how many of
-the aimed shifts met a gap first with each. Ends with 1 where a frame differs.
+not the rig's own board. Both runs are made in turn, ten shifts from each seed (a hundred seeds for
+1,000 shifts). Says how many frames were compared and which was the first that differs, the speed of
+each, and how many of the aimed shifts met a gap first with each. Ends with 1 where a frame differs.
 """
 
 from __future__ import annotations
