@@ -9,7 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from firmware_bench import CommandBench, emulated_board
-from two_boards import TwoBoards
+from shared_clock import TwoBoards
 
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.build import (

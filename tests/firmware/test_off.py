@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from firmware_bench import VALVES, WRAP, CommandBench, Order, emulated_board
-from two_boards import TwoBoards
+from shared_clock import TwoBoards
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ValveAction

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from firmware_bench import WRAP, Order
-from two_boards import READ_US, TwoBoards
+from shared_clock import READ_US, TwoBoards
 
 from meshpoint.dbc.messages import ValveAction
 from meshpoint.testbench.firmware.native_board import NativeBoard

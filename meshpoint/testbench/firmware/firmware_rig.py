@@ -82,7 +82,6 @@ class FirmwareRig(AroundCore[Core]):
         self._inbox = CommandInbox(valves)
         self._held = Step([], [])
         self._at_us: int | None = None
-        self._wake_us = 0
         self._index = [0] * CHANNELS
         self._pins: dict[int, bytes] = {}
         self._passed: dict[int, Passed] = {}
@@ -93,43 +92,23 @@ class FirmwareRig(AroundCore[Core]):
 
     @property
     def next_step_us(self) -> int:
-        """That of the rig; or when the firmware may switch an output."""
-        return 0 if self._inbox.is_urgent else self._due_us
-
-    @property
-    def _due_us(self) -> int:
-        return min(self._core.next_step_us, self._wake_us)
+        """That of the rig."""
+        return 0 if self._inbox.is_urgent else self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
-        """Lets rig and board go on to now, then hands over what was received. A step that comes
-        late, as on a real bus, makes up for it: what was due by then is done at its own times."""
-        has_read = False
-        while self._at_us is not None and self._at_us < (due_us := self._due_us) < now_us:
-            has_read |= self._go_on(due_us)
-            self._switch(due_us)
-        has_read |= self._go_on(now_us)
-        if has_read or self._inbox.is_urgent:
-            step = self._exchange(now_us)
-            self._wake_us = now_us + self._board.wake_us
-            return step
-        self._switch(now_us)
-        return Step([], [])
-
-    def _go_on(self, to_us: int) -> bool:
-        """Lets time go on; whether the rig has made its read."""
-        if self._at_us is not None:
-            self._board.advance(to_us - self._at_us)
-        self._at_us = to_us
-        is_read = self._core.next_step_us <= to_us
-        if is_read:
-            self._keep(self._core.step(to_us))
-        return is_read
-
-    def _switch(self, now_us: int) -> None:
-        """Commands the rig where the board has switched an output."""
-        if self._pass_on(now_us, frozenset()):
+        """Lets rig and board go on to now, then hands over what was received. However late a step
+        comes, as on a real bus, each output is switched at its own time."""
+        at_us = now_us if self._at_us is None else self._at_us
+        while at_us < now_us:
+            next_us = min(now_us, at_us + max(1, self._board.wake_us))
+            self._board.advance(next_us - at_us)
+            at_us = next_us
+            if self._pass_on(at_us, frozenset()):
+                self._keep(self._core.step(at_us))
+        self._at_us = now_us
+        if self._core.next_step_us <= now_us:
             self._keep(self._core.step(now_us))
-        self._wake_us = now_us + self._board.wake_us
+        return self._exchange(now_us)
 
     def shutdown(self, now_us: int) -> Step:
         """Goes on to now; the board loses its power, and so do the valves."""
