@@ -29,7 +29,7 @@ from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.build import library
+from meshpoint.testbench.firmware.build import BOTH_IMAGES, library
 from meshpoint.testbench.firmware.classic import classic_options
 from meshpoint.testbench.firmware.native_board import NativeBoard
 from meshpoint.testbench.loop.setup import Setup
@@ -46,7 +46,7 @@ HALF = Fraction(1, 2)
 
 @pytest.fixture
 def board(folder: Path) -> NativeBoard:
-    board = NativeBoard(library(folder, classic_options(SHEET)))
+    board = NativeBoard(library(folder, (*BOTH_IMAGES, *classic_options(SHEET))))
     board.power_on(sensor_us=0)
     return board
 

@@ -97,18 +97,21 @@ class FirmwareRig(AroundCore[Core]):
 
     def step(self, now_us: int) -> Step:
         """Lets rig and board go on to now, then hands over what was received. However late a step
-        comes, as on a real bus, each output is switched at its own time."""
+        comes, as on a real bus, what was due by then is done at its own times."""
         at_us = now_us if self._at_us is None else self._at_us
         while at_us < now_us:
-            next_us = min(now_us, at_us + max(1, self._board.wake_us))
+            due_us = min(at_us + self._board.wake_us, self._core.next_step_us)
+            next_us = min(max(at_us + 1, due_us), now_us)
             self._board.advance(next_us - at_us)
             at_us = next_us
-            if self._pass_on(at_us, frozenset()):
-                self._keep(self._core.step(at_us))
+            self._step_rig(at_us, has_switched=self._pass_on(at_us, frozenset()))
         self._at_us = now_us
-        if self._core.next_step_us <= now_us:
-            self._keep(self._core.step(now_us))
+        self._step_rig(now_us, has_switched=False)
         return self._exchange(now_us)
+
+    def _step_rig(self, now_us: int, *, has_switched: bool) -> None:
+        if has_switched or self._core.next_step_us <= now_us:
+            self._keep(self._core.step(now_us))
 
     def shutdown(self, now_us: int) -> Step:
         """Goes on to now; the board loses its power, and so do the valves."""
