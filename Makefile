@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed wheel acceptance kernels vcan silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -68,7 +68,12 @@ kernels: $(VENV)/test.stamp
 # The limit is the last resort against a hang: what is waited for in there is bus time.
 vcan: kernels
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
-	tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan -v --durations=0
+	tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan/test_vcan.py -v --durations=0
+
+# A gearbox that stands, behind the board's firmware, on vcan0: ready, and each output right.
+vcan-stand: kernels
+	tools/with-vcan --timeout 3600 \
+	    $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan/test_stand.py -v --durations=0
 
 # Controller and rig as participants of SIL Kit, in a Python that silkit-py has a wheel for: an
 # environment of its own, and kernels compiled for it once.

@@ -1,16 +1,19 @@
 #include "board.h"
 
+#include "frames.h"
 #include "sensor.h"
+#include "teeth.h"
 #include "valve.h"
 
-#if !defined IMAGE_SENSOR || !defined IMAGE_VALVE || !(IMAGE_SENSOR || IMAGE_VALVE)
-#error "compile with -DIMAGE_SENSOR=1 or 0 and -DIMAGE_VALVE=1 or 0, not both 0"
+#if !defined IMAGE_SENSOR || !defined IMAGE_VALVE || (IMAGE_SENSOR || IMAGE_VALVE) == IMAGE_TEETH
+#error "compile with -DIMAGE_SENSOR=1 or 0 and -DIMAGE_VALVE=1 or 0; both 0 with -DIMAGE_TEETH=1"
 #endif
 
 void board_power_on(void) {
 #if IMAGE_VALVE
     valve_power_on(); /* first of all: whatever was driven is off */
 #endif
+    frames_power_on();
 #if IMAGE_SENSOR
     sensor_power_on();
 #endif
@@ -38,6 +41,8 @@ void board_poll(void) {
     board_on_time();
 #if IMAGE_SENSOR
     sensor_collect();
+#elif IMAGE_TEETH
+    teeth_poll();
 #endif
     if (hal_scans(scans)) {
         cycle(scans);
@@ -47,6 +52,8 @@ void board_poll(void) {
 void board_on_frame(const struct frame *frame) {
 #if IMAGE_VALVE
     valve_on_frame(frame);
+#elif IMAGE_TEETH
+    teeth_on_frame(frame);
 #else
     (void)frame;
 #endif

@@ -1,4 +1,5 @@
-/* The images: sensor, valve, or both on one board, by IMAGE_SENSOR and IMAGE_VALVE (1 or 0). */
+/* The images: sensor, valve, or both on one board, by IMAGE_SENSOR and IMAGE_VALVE (1 or 0); or
+ * teeth by IMAGE_TEETH. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -15,5 +16,6 @@ void board_poll(void);
 void board_on_frame(const struct frame *frame);
 void board_on_time(void);
 void board_on_fault(void);
+void board_on_toggled(unsigned wheel); /* teeth.c */
 
 #endif

@@ -50,11 +50,15 @@ enum e2e_status e2e_check(struct e2e_channel *channel, const uint8_t *data, unsi
     if (crc_of(data, length, data_id) != (data[0] | data[1] << 8)) {
         return E2E_ERROR;
     }
-    uint8_t delta = (uint8_t)(data[2] - channel->counter);
+    return e2e_judge(channel, data[2], 256);
+}
+
+enum e2e_status e2e_judge(struct e2e_channel *channel, uint8_t counter, unsigned counters) {
+    unsigned delta = (counters + counter - channel->counter) % counters;
     bool is_first = !channel->has_counter;
     /* Whatever is said, the next frame is judged against this one: a sender that has restarted is
      * wrong once. */
-    channel->counter = data[2];
+    channel->counter = counter;
     channel->has_counter = true;
     if (is_first || (delta > 0 && delta <= MOST_DELTA)) {
         return E2E_OK;

@@ -25,6 +25,9 @@ struct e2e_channel {
 /* Writes the header of a frame of `length` bytes. */
 void e2e_protect(uint8_t *data, unsigned length, uint16_t data_id, uint8_t counter);
 
+/* Judges a counter that goes round by `counters` against the one before. */
+enum e2e_status e2e_judge(struct e2e_channel *channel, uint8_t counter, unsigned counters);
+
 /* Judges CRC and counter of a frame of the right length. */
 enum e2e_status e2e_check(struct e2e_channel *channel, const uint8_t *data, unsigned length,
                           uint16_t data_id);

@@ -5,6 +5,10 @@
 #include "e2e.h"
 #include "hal.h"
 
+#ifndef PROFILE_CLASSIC
+#define PROFILE_CLASSIC 0 /* 1: frames of 8 bytes, for a bus without CAN FD */
+#endif
+
 enum { EDGE_STAMPS = 27 };
 
 #define ID_EDGES UINT32_C(0x18FF1080) /* of the first channel; the next ones are 0x100 apart */
@@ -69,13 +73,34 @@ void frames_put_sleeves(struct frame *frame, uint32_t sample_us,
                         const struct hal_scan scans[HAL_SCANS], unsigned first, uint8_t faults);
 void frames_put_valve_status(struct frame *frame, const struct valve_report *report);
 
-/* Writes the header and sends it; the next frame of this message counts on. */
-void frames_send(struct frame *frame, uint8_t *counter);
-
 /* The time that each message of the sensor side begins with. */
 uint32_t frames_get_time(const struct frame *frame);
+/* All but the flags; false where it says more stamps than there are. */
+bool frames_get_edges(const struct frame *frame, struct edge_read *read);
 void frames_get_valve_command(const struct frame *frame, struct valve_order orders[HAL_VALVES]);
 /* False where the action is none of the DBC's. */
 bool frames_get_clutch_command(const struct frame *frame, bool *close);
+
+/* What a frame commands now. */
+struct command {
+    bool has_orders;
+    bool has_clutch;
+    bool close_clutch;
+    struct valve_order orders[HAL_VALVES];
+};
+
+/* What the board sends each 10 ms, in this order, and what it obeys, in the build's profile: on
+ * CAN FD frames.c, with -DPROFILE_CLASSIC=1 frames_classic.c. */
+void frames_power_on(void);
+void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], const struct hal_scan *scan);
+void frames_send_valves(const struct valve_report *report);
+/* One bit of `faults` a sleeve. */
+void frames_send_sleeves(uint32_t sample_us, const struct hal_scan scans[HAL_SCANS],
+                         unsigned faults);
+void frames_hear(const struct frame *frame, uint32_t own_us, struct command *command);
+/* Takes note of silence, each millisecond and before a frame. */
+void frames_watch(uint32_t own_us);
+/* Commands count anew once three good ones have come. */
+void frames_forget(void);
 
 #endif

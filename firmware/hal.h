@@ -76,6 +76,10 @@ void hal_close_clutch(bool close);
 void hal_wake_at_sensor(uint32_t sensor_us);
 void hal_wake_at_own(uint32_t own_us);
 
+/* Toggles a wheel's pin once, at this time, which lies ahead, and calls `board_on_toggled` then. The
+ * pins of the image teeth; low at reset. */
+void hal_toggle_at(unsigned wheel, uint32_t sensor_us);
+
 /* Restarts the watchdog, which resets the board HAL_WATCHDOG_US after the last time. */
 enum { HAL_WATCHDOG_US = 2000 };
 void hal_watchdog(void);

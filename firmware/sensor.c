@@ -2,22 +2,18 @@
 
 enum {
     MOST_EDGES = 250,       /* in 10 ms: ten times what a wheel's teeth give at top speed */
-    MOST_SLEEVE_UM = 20000, /* the range of the wire */
-    MESSAGES = HAL_CHANNELS + 3
+    MOST_SLEEVE_UM = 20000 /* the range of the wire */
 };
 
 static struct edge_channel channels[HAL_CHANNELS];
 static uint16_t collected[HAL_CHANNELS]; /* edges since the last cycle */
 static uint32_t read_us;                 /* of the present cycle */
-static uint8_t counters[MESSAGES];
+static struct edge_read reads[HAL_CHANNELS];
 
 void sensor_power_on(void) {
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         edges_power_on(&channels[i], hal_sensor_us());
         collected[i] = 0;
-    }
-    for (unsigned i = 0; i < MESSAGES; i++) {
-        counters[i] = 0;
     }
 }
 
@@ -38,16 +34,17 @@ void sensor_collect(void) {
 }
 
 /* A wheel that has no good signal says so, and the others go on. */
-static void send_edges(void) {
-    struct frame frame;
-    struct edge_read read;
+static void read_edges(void) {
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
-        edges_read(&channels[i], read_us, &read);
-        read.sensor_fault = hal_wheel_is_bad(i / 2) || collected[i] > MOST_EDGES;
+        edges_read(&channels[i], read_us, &reads[i]);
+        reads[i].sensor_fault = hal_wheel_is_bad(i / 2) || collected[i] > MOST_EDGES;
         collected[i] = 0;
-        frames_put_edges(&frame, i, &read);
-        frames_send(&frame, &counters[i]);
     }
+}
+
+/* A receiver refuses a frame with a value outside the DBC's range: what is beyond is at its end. */
+static uint16_t within(uint16_t value, uint16_t least, uint16_t most) {
+    return value < least ? least : value > most ? most : value;
 }
 
 /* Brings one sleeve's samples into range; 1 where one of them is of no use. */
@@ -64,8 +61,7 @@ static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve) 
     return is_bad;
 }
 
-void sensor_cycle(const struct hal_scan scans[HAL_SCANS]) {
-    struct frame frame;
+void sensor_cycle(struct hal_scan scans[HAL_SCANS]) {
     hal_lock(); /* nothing comes between a pulse and its time */
     if (hal_is_all_sent()) { /* else a late frame would be taken for that of this pulse */
         hal_sync_pulse();
@@ -73,16 +69,16 @@ void sensor_cycle(const struct hal_scan scans[HAL_SCANS]) {
     read_us = hal_sensor_us(); /* all wheels are read at the same microsecond */
     hal_unlock();
     collect_to(read_us);
-    send_edges();
-    frames_put_gearbox_sensors(&frame, read_us, &scans[0]);
-    frames_send(&frame, &counters[HAL_CHANNELS]);
+    read_edges();
+    scans[0].oil_centidegree = within(scans[0].oil_centidegree, 4000, 30000);
+    scans[0].clutch_basispoint = within(scans[0].clutch_basispoint, 0, 10000);
+    frames_send_reads(reads, &scans[0]);
 }
 
 void sensor_send_sleeves(struct hal_scan scans[HAL_SCANS]) {
-    struct frame frame;
-    for (unsigned first = 0; first < HAL_SLEEVES; first += 2) {
-        unsigned faults = judge_sleeve(scans, first) | judge_sleeve(scans, first + 1) << 1;
-        frames_put_sleeves(&frame, read_us, scans, first, (uint8_t)faults);
-        frames_send(&frame, &counters[HAL_CHANNELS + 1 + first / 2]);
+    unsigned faults = 0;
+    for (unsigned i = 0; i < HAL_SLEEVES; i++) {
+        faults |= judge_sleeve(scans, i) << i;
     }
+    frames_send_sleeves(read_us, scans, faults);
 }

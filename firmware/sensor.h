@@ -11,7 +11,7 @@ void sensor_collect(void);
 
 /* Reads everything at this instant, as the newest scan has been made, and sends all but the
  * sleeves; then the sleeves of the same read. */
-void sensor_cycle(const struct hal_scan scans[HAL_SCANS]);
+void sensor_cycle(struct hal_scan scans[HAL_SCANS]);
 void sensor_send_sleeves(struct hal_scan scans[HAL_SCANS]);
 
 #endif

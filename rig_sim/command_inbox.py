@@ -17,7 +17,9 @@ CLUTCH_ACTION: Final = 3
 class CommandInbox:
     """What a node with the valves has received since its last step."""
 
-    def __init__(self) -> None:
+    def __init__(self, valves: int = VALVES) -> None:
+        """valves: the identifier of a valve command."""
+        self._valves = valves
         self._frames: list[Frame] = []
         self._last_clutch = b""
         self.is_urgent = False
@@ -26,7 +28,7 @@ class CommandInbox:
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
         self._frames.append(frame)
-        if frame.can_id == VALVES:
+        if frame.can_id == self._valves:
             self.is_urgent = True
         elif frame.can_id == CLUTCH:
             action = frame.data[CLUTCH_ACTION:]

@@ -35,12 +35,16 @@ async def run_rig(
     stop: asyncio.Event,
     keys: CommandKeys | None = None,
     wire: WireProfile = WireProfile.FD,
+    around: Callable[[Core], Core] | None = None,
 ) -> NodeStatistics:
     """Runs a rig until `stop` is set; its last frame shows all valves off. With `keys` it takes
-    proven commands alone. `wire`: the frames on the bus."""
+    proven commands alone. `wire`: the frames on the bus. `around`: puts a board's firmware
+    between rig and bus."""
     core: Core = RigCore(sheet, settings)
+    if around is not None:
+        core = around(core)
     if wire is WireProfile.CLASSIC:
-        core = classic_rig(core, sheet)
+        core = classic_rig(core, sheet, has_board=around is not None)
     settle()
     return await run_node(
         core if keys is None else verified(core, keys, randbits),

@@ -88,6 +88,11 @@ void hal_wake_at_own(uint32_t own_us) {
     native.is_wake_own_set = 1;
 }
 
+void hal_toggle_at(unsigned wheel, uint32_t sensor_us) {
+    native.toggle_us[wheel] = sensor_us;
+    native.is_toggle_set[wheel] = 1;
+}
+
 void hal_watchdog(void) {
     native.watchdog_us = native.own_us + HAL_WATCHDOG_US;
 }
@@ -129,7 +134,20 @@ static uint32_t next_us(void) {
     if (native.is_wake_own_set && !native.is_deaf) {
         next = least(next, wait_us(native.wake_own_us, native.own_us));
     }
+    for (unsigned i = 0; i < HAL_WHEELS; i++) {
+        if (native.is_toggle_set[i]) {
+            next = least(next, wait_us(native.toggle_us[i], native.sensor_us));
+        }
+    }
     return next;
+}
+
+static void toggle(unsigned wheel) {
+    if (native.is_toggle_set[wheel] && wait_us(native.toggle_us[wheel], native.sensor_us) == 0) {
+        native.is_toggle_set[wheel] = 0;
+        native.toggled_us[wheel][native.toggled_count[wheel]++ % NATIVE_EDGES] = native.sensor_us;
+        board_on_toggled(wheel);
+    }
 }
 
 static void wake(uint8_t *is_set, uint32_t at_us, uint32_t now_us) {
@@ -140,6 +158,9 @@ static void wake(uint8_t *is_set, uint32_t at_us, uint32_t now_us) {
 }
 
 static void fire(void) {
+    for (unsigned i = 0; i < HAL_WHEELS; i++) {
+        toggle(i);
+    }
     wake(&native.is_wake_sensor_set, native.wake_sensor_us, native.sensor_us);
     wake(&native.is_wake_own_set, native.wake_own_us, native.own_us);
     if (!native.is_stuck && wait_us(native.poll_us, native.own_us) == 0) {

@@ -40,6 +40,10 @@ struct native {
     uint32_t edges_us[HAL_CHANNELS][NATIVE_EDGES];
     uint32_t edges_in[HAL_CHANNELS];
     uint32_t edges_out[HAL_CHANNELS];
+    uint32_t toggle_us[HAL_WHEELS]; /* as the firmware has set them */
+    uint8_t is_toggle_set[HAL_WHEELS];
+    uint32_t toggled_us[HAL_WHEELS][NATIVE_EDGES]; /* of the pins; the newest are kept */
+    uint32_t toggled_count[HAL_WHEELS];
 };
 
 extern struct native native;

@@ -43,11 +43,11 @@ def classic_controller(core: Core, sheet: GearboxSheet) -> Core:
     return ClassicControllerCore(core, sheet)
 
 
-def classic_rig(core: Core, sheet: GearboxSheet) -> Core:
-    """The rig on such a bus."""
+def classic_rig(core: Core, sheet: GearboxSheet, *, has_board: bool = False) -> Core:
+    """The rig on such a bus; has_board: the gearbox's node in it speaks classic frames itself."""
     from meshpoint.bus.classic.cores import ClassicRigCore
 
-    return ClassicRigCore(core, sheet)
+    return ClassicRigCore(core, sheet, has_board=has_board)
 
 
 def recorded_steps(core: Core, records: Records, run_hash: int, *, diagnosed: bool) -> Core:

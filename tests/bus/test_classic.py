@@ -24,7 +24,13 @@ from meshpoint.bus.classic.edges import (
     SpeedWheel,
 )
 from meshpoint.bus.classic.parts import PartsIntake, PartsSender
-from meshpoint.bus.classic.sensors import SensorIntake, SensorSender, between, edges_per_us
+from meshpoint.bus.classic.sensors import (
+    SensorIntake,
+    SensorSender,
+    between,
+    coarser,
+    edges_per_us,
+)
 from meshpoint.bus.classic.traffic import LIMIT, classic_traffic, worst_load
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS
 from meshpoint.dbc.frame import Frame
@@ -424,3 +430,9 @@ def test_the_bus_is_not_full_at_the_highest_speeds() -> None:
     main = SHEET.limits.input_max_rad_s / RPM * 45 / 60
     assert rate == pytest.approx((layshaft + main) / 3, rel=1e-3)
     assert math.isclose(SHEET.limits.input_max_rad_s / RPM, 2400.0)
+
+
+def test_what_is_finer_inside_is_rounded_halves_up() -> None:
+    """A position of each whole micrometre, in steps of 10 um."""
+    for um in range(-20_000, 20_001):
+        assert round(coarser(um * 1e-6, 1e-6, 10) / 1e-5) == (um + 5) // 10

@@ -37,8 +37,14 @@ def folder() -> Path:
 
 @pytest.fixture(scope="session")
 def built(folder: Path) -> bytes:
-    """The shared library."""
+    """Both images on one board, as a shared library."""
     return library(folder)
+
+
+@pytest.fixture(scope="session")
+def teeth_built(folder: Path) -> bytes:
+    """The image `teeth`."""
+    return library(folder, IMAGES["teeth"])
 
 
 @pytest.fixture
@@ -47,15 +53,15 @@ def board(built: bytes) -> NativeBoard:
 
 
 @pytest.fixture
+def bench(board: NativeBoard) -> CommandBench:
+    return CommandBench(board)
+
+
+@pytest.fixture
 def boards(folder: Path) -> TwoBoards:
     """A sensor board and a valve board that share its clock by a wire."""
     sensor, valve = (library(folder, IMAGES[name]) for name in ("sensor", "valve"))
     return TwoBoards(NativeBoard(sensor), NativeBoard(valve))
-
-
-@pytest.fixture
-def bench(board: NativeBoard) -> CommandBench:
-    return CommandBench(board)
 
 
 @pytest.fixture(params=CROSS_COMPILERS)

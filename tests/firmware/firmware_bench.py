@@ -11,7 +11,7 @@ from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAc
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Analogue, Board
-from meshpoint.testbench.firmware.build import image, source_folder
+from meshpoint.testbench.firmware.build import BOTH_IMAGES, image, source_folder
 from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.native_board import CHANGES, Memory, NativeBoard
 
@@ -43,7 +43,7 @@ def emulated_board(by: str) -> EmulatedBoard:
     unicorn, is not installed."""
     pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
     try:
-        return EmulatedBoard(image(source_folder(), "both", by))
+        return EmulatedBoard(image(source_folder(), BOTH_IMAGES, by))
     except CommandError as error:
         pytest.skip(str(error))
 

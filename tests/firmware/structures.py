@@ -76,3 +76,10 @@ class CValves(c.Structure):
     _fields_ = (("slots", CSlot * 9), ("clock_us", c.c_int64), ("is_held", c.c_bool),
                 ("expiry_us", c.c_uint32), ("refused_count", c.c_uint16),
                 ("expired_count", c.c_uint16))  # fmt: skip
+
+
+class CCommand(c.Structure):
+    """struct command"""
+
+    _fields_ = (("has_orders", c.c_bool), ("has_clutch", c.c_bool), ("close_clutch", c.c_bool),
+                ("orders", COrder * 9))  # fmt: skip

@@ -61,19 +61,42 @@ def test_an_edge_frame(board: NativeBoard, rng: np.random.Generator, channel: in
         assert packed(frame, EDGES[channel]) == expected(EDGES[channel], values)
 
 
+@pytest.mark.parametrize("channel", range(8))
+def test_an_edge_frame_that_is_heard(
+    board: NativeBoard, rng: np.random.Generator, channel: int
+) -> None:
+    read, spec = CEdgeRead(), CODECS[EDGES[channel]].spec
+    get = board.code.frames_get_edges
+    get.restype = ctypes.c_bool
+    for _ in range(TIMES):
+        read_us, index, valid = (int(rng.integers(1 << bits)) for bits in (32, 16, 5))
+        stamps = [int(each) for each in rng.integers(1 << 16, size=27)]
+        values = {f"TimestampLow{place:02}": stamp for place, stamp in enumerate(stamps)}
+        values |= {"ReadTime": read_us, "NewestIndex": index, "ValidStamps": valid}
+        values |= {"LongInterval": 1, "Stopped": index & 1, "SensorFault": 1}
+        frame = CFrame(spec.can_id, spec.length, True, True,
+                       tuple(expected(EDGES[channel], values)))  # fmt: skip
+        assert get(ctypes.byref(frame), ctypes.byref(read)) == (valid <= 27)
+        assert (read.read_us, read.newest_index, read.valid_stamps, list(read.stamps_us)) == (
+            read_us, index, valid, stamps,
+        )  # fmt: skip
+
+
 def test_the_slow_sensors(board: NativeBoard, rng: np.random.Generator) -> None:
     frame = CFrame()
     for _ in range(TIMES):
         time_us, slow = (
             int(rng.integers(1 << 32)),
-            [int(each) for each in rng.integers(1 << 16, size=4)],
+            [
+                int(rng.integers(low, high + 1))
+                for low, high in ((0, 0xFFFF), (0, 0xFFFF), (4_000, 30_000), (0, 10_000))
+            ],
         )
         scan = CScan((0,) * 4, *slow, 0)
         board.code.frames_put_gearbox_sensors(ctypes.byref(frame), time_us, ctypes.byref(scan))
         values = {
             "SampleTime": time_us, "BrakePressure": slow[0], "SupplyPressure": slow[1],
-            "OilTemperature": min(max(slow[2], 4_000), 30_000),
-            "ClutchPosition": min(slow[3], 10_000),
+            "OilTemperature": slow[2], "ClutchPosition": slow[3],
         }  # fmt: skip
         assert packed(frame, "GearboxSensors") == expected("GearboxSensors", values)
 

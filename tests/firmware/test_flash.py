@@ -34,8 +34,8 @@ def by(request: pytest.FixtureRequest) -> str:
 
 @pytest.mark.parametrize("name", IMAGES)
 def test_it_begins_with_the_end_of_memory_and_where_to_start(by: str, name: str) -> None:
-    parts = segments(linked(source_folder(), name, by))
-    content = flash_content(linked(source_folder(), name, by))
+    parts = segments(linked(source_folder(), IMAGES[name], by))
+    content = flash_content(linked(source_folder(), IMAGES[name], by))
     stack_end, reset, nmi = struct.unpack_from("<3I", content)
     assert parts[0].address == FLASH.start
     assert stack_end == RAM.stop
@@ -48,7 +48,7 @@ def test_it_is_what_objcopy_makes_of_the_image(by: str, tmp_path: Path) -> None:
     objcopy = shutil.which("arm-none-eabi-objcopy")
     if objcopy is None:
         pytest.skip("arm-none-eabi-objcopy is not installed (Debian: binutils-arm-none-eabi)")
-    image = linked(source_folder(), "both", by)
+    image = linked(source_folder(), IMAGES["both"], by)
     (tmp_path / "both.elf").write_bytes(image)
     subprocess.run([objcopy, "-O", "binary", "both.elf", "both.bin"], cwd=tmp_path, check=True)
     assert flash_content(image) == (tmp_path / "both.bin").read_bytes()
@@ -66,7 +66,7 @@ def test_what_is_no_image_is_refused(content: bytes) -> None:
 
 
 def test_an_image_that_is_cut_short_is_refused(by: str) -> None:
-    image = linked(source_folder(), "both", by)
+    image = linked(source_folder(), IMAGES["both"], by)
     last = max(segments(image), key=lambda part: part.address)
     end = image.index(last.content) + len(last.content)
     with pytest.raises(ValueError, match="cut short"):

@@ -8,18 +8,25 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.firmware.build import compiled, source_folder, sources
+from meshpoint.testbench.firmware.build import (
+    IMAGES,
+    compiled,
+    source_folder,
+    sources,
+)
 
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
-@pytest.fixture(scope="module")
-def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=["both", "teeth"])
+def fuzzer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("cc") is None:
         pytest.skip("no cc here: the compiler of meshpoint[firmware] has no address sanitizer")
     path = tmp_path_factory.mktemp("fuzz") / "fuzz"
     folder = source_folder()
-    compiled([*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED)
+    compiled(
+        [*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED, IMAGES[request.param]
+    )
     return path
 
 

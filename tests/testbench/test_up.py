@@ -82,11 +82,14 @@ def nodes(command: LiveCommand) -> dict[str, int]:
     return found
 
 
+@pytest.mark.parametrize(
+    "firmware", [[], pytest.param(["--firmware", "native"], marks=pytest.mark.long)]
+)
 def test_a_request_from_elsewhere_shifts_and_ctrl_c_ends_both(
-    tmp_path: Path, bus: list[str], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bus: list[str], firmware: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "run.log"
-    with live(tmp_path, "up", *bus, "--seed", "3", "--log", str(log)) as command:
+    with live(tmp_path, "up", *bus, "--seed", "3", *firmware, "--log", str(log)) as command:
         started = nodes(command)
         assert main(["request", "10", *bus, "--timeout", "600"]) == 0
         assert "8 -> 10: engaged" in capsys.readouterr().out
@@ -132,13 +135,16 @@ def test_both_nodes_get_the_keys_by_which_commands_are_proven(tmp_path: Path) ->
     assert "--keys" not in without
 
 
-def test_the_rig_alone_is_asked_for_the_trucks_other_nodes(tmp_path: Path) -> None:
+def test_the_rig_alone_is_asked_for_the_trucks_other_nodes_and_a_boards_firmware(
+    tmp_path: Path,
+) -> None:
     parser = argparse.ArgumentParser()
     add_parser(parser.add_subparsers())
-    namespace = parser.parse_args(["up", "--truck"])
+    namespace = parser.parse_args(["up", "--truck", "--firmware", "native"])
     _, (_, rig), (_, controller) = _commands(namespace, tmp_path / "pace")
-    assert build_parser().parse_args(rig[2:]).truck_nodes
-    assert "--truck" not in controller
+    asked = build_parser().parse_args(rig[2:])
+    assert (asked.truck_nodes, asked.firmware) == (True, "native")
+    assert {"--truck", "--firmware"}.isdisjoint(controller)
 
 
 @pytest.mark.long

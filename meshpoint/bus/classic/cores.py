@@ -7,7 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
-from meshpoint.bus.classic.commands import OrderIntake, OrderSender, orders_say
+from meshpoint.bus.classic.commands import (
+    OrderIntake,
+    OrderSender,
+    OrdersPassedOn,
+    orders_say,
+)
 from meshpoint.bus.classic.parts import PartsIntake, PartsSender
 from meshpoint.bus.classic.sensors import SensorIntake, SensorSender
 from meshpoint.bus.core import AroundCore, Core, Step
@@ -44,7 +49,9 @@ class Unpacker:
     """Makes frames of meshpoint.dbc again: hands each to whoever takes its identifier."""
 
     def __init__(
-        self, *takers: OrderIntake | PartsIntake | SensorIntake, passes_fd: bool = False
+        self,
+        *takers: OrderIntake | OrdersPassedOn | PartsIntake | SensorIntake,
+        passes_fd: bool = False,
     ) -> None:
         self._passes_fd = passes_fd
         self._takers: dict[int, Callable[[Frame], list[Frame]]] = {
@@ -198,10 +205,13 @@ class ClassicControllerCore(_PackingCore):
 
 
 class ClassicRigCore(_PackingCore):
-    """A rig on a classic bus. The last status of its valves alone has no frame."""
+    """A rig on a classic bus. The last status of its valves alone has no frame.
 
-    def __init__(self, core: Core, sheet: GearboxSheet) -> None:
-        super().__init__(core, Unpacker(OrderIntake(), PartsIntake("BenchCommand")))
+    has_board: the gearbox's node in it hears and sends classic frames itself."""
+
+    def __init__(self, core: Core, sheet: GearboxSheet, *, has_board: bool = False) -> None:
+        orders = OrdersPassedOn() if has_board else OrderIntake()
+        super().__init__(core, Unpacker(orders, PartsIntake("BenchCommand")))
         self._sensors = SensorSender(sheet)
         self._engagement = PartsSender("ReferenceEngagement")
         self._read: dict[str, Any] = {}
@@ -261,11 +271,14 @@ class ClassicBenchCore(_UnpackingCore):
         return Step(frames, events)
 
 
-def on_classic_bus(sheet: GearboxSheet, controller: Core, rig: Core, *benches: Core) -> list[Core]:
-    """These cores, each with what it takes to be on a classic bus."""
+def on_classic_bus(
+    sheet: GearboxSheet, controller: Core, rig: Core, *benches: Core, has_board: bool = False
+) -> list[Core]:
+    """These cores, each with what it takes to be on a classic bus; has_board: as `ClassicRigCore`
+    takes it."""
     return [
         ClassicControllerCore(controller, sheet),
-        ClassicRigCore(rig, sheet),
+        ClassicRigCore(rig, sheet, has_board=has_board),
         *map(ClassicBenchCore, benches),
     ]
 

@@ -76,6 +76,12 @@ def edges_per_us(read: EdgeReport) -> float | None:
     return count / span_us if span_us and not read.long_interval else None
 
 
+def coarser(value: float, step: float, steps: int) -> float:
+    """A value that is whole steps, in whole numbers of `steps` of them; halves go up, as a board
+    does it that has no floating point."""
+    return (round(value / step) + steps // 2) // steps * (steps * step)
+
+
 class SensorSender:
     """Packs a read of the rig, or of a sensor ECU, into classic frames."""
 
@@ -137,8 +143,8 @@ class SensorSender:
         state = self._frame(
             "GearboxState",
             read,
-            min(sensors.brake_pressure_pa, MOST_BRAKE_PA),
-            sensors.clutch_position_fraction,
+            min(coarser(sensors.brake_pressure_pa, 20.0, 16), MOST_BRAKE_PA),
+            coarser(sensors.clutch_position_fraction, 1e-4, 10),
             *status[1 : 1 + STATUS_FLAGS],
             status.refused_count % COUNT_WRAP,
             status.expired_count % COUNT_WRAP,
@@ -162,7 +168,7 @@ class SensorSender:
 
     def _sleeves(self, name: str, fault: int, *samples: tuple[float, ...]) -> Frame:
         read = self._senders["SensorRead"].counter
-        pairs = [(row[0], row[HALF_READ]) for row in samples]
+        pairs = [[coarser(row[k], 1e-6, 10) for k in (0, HALF_READ)] for row in samples]
         return self._frame(name, read % 4, fault, *pairs)
 
     def _slow(self, messages: dict[str, Any]) -> list[Frame]:

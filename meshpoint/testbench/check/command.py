@@ -131,7 +131,8 @@ def run(namespace: argparse.Namespace) -> int:
             turned = []
     findings += _interface_findings(config, link, profile)
     findings.append(socket_finding)
-    has_controller = config["interface"] not in NO_CONTROLLER
+    is_vcan = isinstance(link, LinkState) and link.kind == "vcan"
+    has_controller = config["interface"] not in NO_CONTROLLER and not is_vcan
     where = f"{bus.channel_info} in {namespace.seconds:g} s"
     heard = listener.findings(where)
     findings += [f if has_controller else _machine_alone(f) for f in heard]

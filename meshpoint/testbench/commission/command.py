@@ -13,7 +13,6 @@ from typing import Any
 
 from rich.table import Table
 
-from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.fine_timers import run as run_loop
@@ -28,6 +27,7 @@ from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.check.command import findings_table
 from meshpoint.testbench.check.finding import Finding, answer
 from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.pace import add_pace, clock_of
 from meshpoint.testbench.commission.drawn import draw_sheet
 from meshpoint.testbench.commission.measured import Commissioned, commissioned, value_of
 from meshpoint.testbench.commission.rehearsal import draw_miswiring, findings_of, rehearse_turned
@@ -86,6 +86,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_seed(parser)
     arguments.add_gearbox(parser)
     arguments.add_wire(parser)
+    add_pace(parser)
     arguments.add_json(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
@@ -188,7 +189,7 @@ async def _on_bus(namespace: argparse.Namespace, guided: _Guided) -> None:
         await run_node(
             guided,
             lambda: open_bus_from(namespace),
-            Clock(1.0),
+            clock_of(namespace, "controller"),  # whose place it takes
             on_event=complain,
             stop=stop,
             name="commission",

@@ -27,6 +27,7 @@ IMAGES: Final = {
     "both": ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=1"),
     "sensor": ("-DIMAGE_SENSOR=1", "-DIMAGE_VALVE=0"),
     "valve": ("-DIMAGE_SENSOR=0", "-DIMAGE_VALVE=1"),
+    "teeth": ("-DIMAGE_SENSOR=0", "-DIMAGE_VALVE=0", "-DIMAGE_TEETH=1"),
 }
 """Of one tree of sources."""
 BOTH_IMAGES: Final = IMAGES["both"]
@@ -93,10 +94,15 @@ def sources(folder: Path) -> list[Path]:
     return [*sorted(folder.glob("*.c")), folder / "native" / "native.c"]
 
 
-def compiled(files: Sequence[Path], output: Path, flags: Sequence[str] = SHARED) -> None:
-    """Compiles the files into `output`. CommandError where that fails, with the first lines of what
-    the compiler said."""
-    _run([*compiler(), *FLAGS, *BOTH_IMAGES, *flags], files, output)
+def compiled(
+    files: Sequence[Path],
+    output: Path,
+    flags: Sequence[str] = SHARED,
+    options: Sequence[str] = BOTH_IMAGES,
+) -> None:
+    """Compiles the files into `output`, with these options of the firmware. CommandError where that
+    fails, with the first lines of what the compiler said."""
+    _run([*compiler(), *FLAGS, *options, *flags], files, output)
 
 
 def _run(command: list[str], files: Sequence[Path], output: Path) -> None:
@@ -120,13 +126,14 @@ def library(folder: Path, options: Sequence[str] = BOTH_IMAGES) -> bytes:
     return _kept(folder, [*compiler(), *FLAGS, *options, *SHARED], sources(folder))
 
 
-def image(folder: Path, name: str, by: str) -> bytes:
-    """One of IMAGES, linked for the board, as an ELF file.
+def image(folder: Path, options: Sequence[str], by: str) -> bytes:
+    """An image linked for the board, as an ELF file.
 
-    folder: the sources; by: one of CROSS_COMPILERS. CommandError: it cannot be built."""
+    folder: the sources; options: of the firmware, those of one of IMAGES among them; by: one of
+    CROSS_COMPILERS. CommandError: it cannot be built."""
     board = folder / "g474"
     command = [
-        *cross_compiler(by), *FLAGS, *CROSS_COMPILERS[by], *IMAGES[name], *LINKED,
+        *cross_compiler(by), *FLAGS, *CROSS_COMPILERS[by], *options, *LINKED,
         f"-Wl,-T,{board / 'link.ld'}",
     ]  # fmt: skip
     files = [*sorted(folder.glob("*.c")), *sorted(board.glob("*.c"))]

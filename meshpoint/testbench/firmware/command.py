@@ -36,8 +36,8 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Writes a file an image."""
     folder = folder_for(namespace.output)
-    for name in IMAGES:
-        content = flash_content(image(source_folder(), name, namespace.by))
+    for name, options in IMAGES.items():
+        content = flash_content(image(source_folder(), options, namespace.by))
         path = folder / f"{name}.bin"
         try:
             path.write_bytes(content)

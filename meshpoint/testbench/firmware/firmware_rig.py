@@ -7,6 +7,7 @@ outputs go to the rig as commands to switch now, at the microsecond at which the
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
@@ -17,7 +18,6 @@ from meshpoint.dbc.messages import (
     ClutchAction,
     ClutchCommand,
     GearboxSensors,
-    RigFault,
     SleevesAux,
     SleevesMain,
     ValveAction,
@@ -39,15 +39,16 @@ EDGES: Final = {
     )
 }
 ACTIONS: Final = [name for name in ValveCommand._fields if name.endswith("_action")]
+FD_COMMANDS: Final[Mapping[int, frozenset[int]]] = {
+    VALVES: frozenset((VALVES,)),
+    CLUTCH: frozenset((CLUTCH,)),
+}
+"""By identifier of what the board alone hears, on CAN FD: which of the rig's commands it is."""
 STAMPS: Final = 27
 TO_BE_VALID: Final = 3
 """A receiver obeys the third good frame, not the first."""
 RENEW_US: Final = 30_000
 """A command is repeated after this: 50 ms without a frame are a node that is off."""
-NOT_OF_THE_GEARBOX: Final = frozenset(
-    (RigFault.FROZEN_PAYLOAD, RigFault.CLOCK_STEP, RigFault.NODE_RESTART, RigFault.NODE_STALLED)
-)
-"""Faults of the board that the firmware stands in for."""
 
 _EDGES: Final = struct.Struct("<IHB27H")
 _SLOW: Final = struct.Struct("<I4H")
@@ -66,11 +67,19 @@ class Passed(NamedTuple):
 class FirmwareRig(AroundCore[Core]):
     """A rig whose board is this firmware. On the bus it does what the rig alone does."""
 
-    def __init__(self, rig: Core, board: Board) -> None:
+    def __init__(
+        self,
+        rig: Core,
+        board: Board,
+        commands: Mapping[int, frozenset[int]] = FD_COMMANDS,
+        valves: int = VALVES,
+    ) -> None:
+        """commands: as `FD_COMMANDS`; valves: the identifier of that of the valves."""
         super().__init__(rig)
         self._board = board
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
-        self._inbox = CommandInbox()
+        self._commands = commands
+        self._inbox = CommandInbox(valves)
         self._held = Step([], [])
         self._at_us: int | None = None
         self._wake_us = 0
@@ -85,26 +94,42 @@ class FirmwareRig(AroundCore[Core]):
     @property
     def next_step_us(self) -> int:
         """That of the rig; or when the firmware may switch an output."""
-        if self._inbox.is_urgent:
-            return 0
+        return 0 if self._inbox.is_urgent else self._due_us
+
+    @property
+    def _due_us(self) -> int:
         return min(self._core.next_step_us, self._wake_us)
 
     def step(self, now_us: int) -> Step:
-        """Lets rig and board go on to now, then hands over what was received."""
-        if self._at_us is not None:
-            self._board.advance(now_us - self._at_us)
-        self._at_us = now_us
-        is_read = self._core.next_step_us <= now_us
-        if is_read:
-            self._keep(self._core.step(now_us))
-        if is_read or self._inbox.is_urgent:
+        """Lets rig and board go on to now, then hands over what was received. A step that comes
+        late, as on a real bus, makes up for it: what was due by then is done at its own times."""
+        has_read = False
+        while self._at_us is not None and self._at_us < (due_us := self._due_us) < now_us:
+            has_read |= self._go_on(due_us)
+            self._switch(due_us)
+        has_read |= self._go_on(now_us)
+        if has_read or self._inbox.is_urgent:
             step = self._exchange(now_us)
-        else:
-            if self._pass_on(now_us, set()):
-                self._keep(self._core.step(now_us))
-            step = Step([], [])
+            self._wake_us = now_us + self._board.wake_us
+            return step
+        self._switch(now_us)
+        return Step([], [])
+
+    def _go_on(self, to_us: int) -> bool:
+        """Lets time go on; whether the rig has made its read."""
+        if self._at_us is not None:
+            self._board.advance(to_us - self._at_us)
+        self._at_us = to_us
+        is_read = self._core.next_step_us <= to_us
+        if is_read:
+            self._keep(self._core.step(to_us))
+        return is_read
+
+    def _switch(self, now_us: int) -> None:
+        """Commands the rig where the board has switched an output."""
+        if self._pass_on(now_us, frozenset()):
+            self._keep(self._core.step(now_us))
         self._wake_us = now_us + self._board.wake_us
-        return step
 
     def shutdown(self, now_us: int) -> Step:
         """Goes on to now; the board loses its power, and so do the valves."""
@@ -122,17 +147,18 @@ class FirmwareRig(AroundCore[Core]):
     def _exchange(self, now_us: int) -> Step:
         """What was received, to the board and to the rig; what they have to send."""
         inbox = self._inbox.take()
-        others = [frame for frame in inbox if frame.can_id not in (VALVES, CLUTCH)]
+        others = [frame for frame in inbox if frame.can_id not in self._commands]
         for frame in inbox:
             self._board.receive(frame)
-        self._pass_on(now_us, {frame.can_id for frame in inbox})
+        heard = [self._commands.get(frame.can_id, frozenset()) for frame in inbox]
+        self._pass_on(now_us, frozenset().union(*heard))
         for frame in others:
             self._core.receive(frame)
         self._keep(self._core.step(now_us))
         step, self._held = self._held, Step([], [])
         return step
 
-    def _pass_on(self, now_us: int, heard: set[int]) -> bool:
+    def _pass_on(self, now_us: int, heard: frozenset[int]) -> bool:
         """Commands to the rig of the outputs as they are: where one has been switched, where the
         board has heard a command, and often enough for the rig not to think that nobody is there.
         Whether there was one."""

@@ -15,6 +15,7 @@ from meshpoint.testbench.firmware.board import CHANNELS, SCANS, Analogue, Failur
 EDGES: Final = 256
 SENT: Final = 64
 CHANGES: Final = 64
+WHEELS: Final = 4
 
 _FRAME: Final = struct.Struct("<IB??64sx")
 _SCANS: Final = struct.Struct("<" + "4h4HBx" * SCANS)
@@ -62,6 +63,10 @@ class Memory(ctypes.Structure):
         ("edges_us", ctypes.c_uint32 * EDGES * CHANNELS),
         ("edges_in", ctypes.c_uint32 * CHANNELS),
         ("edges_out", ctypes.c_uint32 * CHANNELS),
+        ("toggle_us", ctypes.c_uint32 * WHEELS),
+        ("is_toggle_set", ctypes.c_bool * WHEELS),
+        ("toggled_us", ctypes.c_uint32 * EDGES * WHEELS),
+        ("toggled_count", ctypes.c_uint32 * WHEELS),
     )
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import can
 
-from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.core import Core
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import (
@@ -21,7 +20,6 @@ from meshpoint.bus.options import (
     listen_only_words,
     open_bus_from,
 )
-from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.bus.statistics import NodeStatistics
@@ -31,6 +29,8 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
+from meshpoint.testbench.command_line.pace import add_pace, clock_of
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import log_folder, recording, save_header, start_log
@@ -75,6 +75,7 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_rig(rig)
     arguments.add_truck(rig)
+    add_firmware(rig)
     arguments.add_gearbox(rig, has_preset=True)
     speed = add_rig_start(rig)
     speed.add_argument(
@@ -127,14 +128,7 @@ def add_rig_start(parser: arguments.Arguments) -> arguments.Arguments:
 def _add_common(parser: argparse.ArgumentParser) -> None:
     arguments.add_keys(parser)
     arguments.add_wire(parser)
-    arguments.add_speed(parser)
-    parser.add_argument(
-        "--pace",
-        type=Path,
-        metavar="FILE",
-        help="bus time shared with the other nodes, as `meshpoint up --pace-only FILE` keeps it: "
-        "waits for whoever the machine keeps from running (default: wall time)",
-    )
+    add_pace(parser)
     arguments.add_log(parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")
     # For whoever starts the node: it ends well also where that process is killed.
@@ -164,7 +158,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                 return await run_controller(
                     header,
                     _opener(namespace, f"sheet {sheet.name}, run header {header.run_hash:016x}"),
-                    _clock(namespace),
+                    clock_of(namespace, namespace.command),
                     on_event=_printer(namespace),
                     stop=stop,
                     keep=writer,
@@ -223,7 +217,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
                 await run_node(
                     core,
                     _opener(namespace, f"sheet {sheet.name}, shadow, sends nothing"),
-                    _clock(namespace),
+                    clock_of(namespace, namespace.command),
                     on_event=show,
                     stop=stop,
                     name="controller",
@@ -236,6 +230,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
 def run_rig_command(namespace: argparse.Namespace) -> int:
     """Runs the rig until a signal."""
     from meshpoint.rig_sim.node import run_rig
+    from meshpoint.testbench.firmware.boards import around_rig
 
     built = arguments.as_built_of(namespace)
     settings = RigSettings(
@@ -255,7 +250,11 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         describe_rig(sheet, settings)
         return Exit.DONE
     wire = _wire_of(namespace, sheet)
+    firmware = firmware_of(namespace)
+    around = None if firmware is None else around_rig(firmware, sheet, wire)
     words = gearbox_words(sheet, settings.preset, settings.profile, settings.as_built)
+    if firmware is not None:
+        words += f", firmware {firmware}"
 
     async def run() -> None:
         stop = asyncio.Event()
@@ -265,11 +264,12 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                     sheet,
                     settings,
                     _opener(namespace, f"preset {settings.preset}, seed {settings.seed}, {words}"),
-                    _clock(namespace),
+                    clock_of(namespace, namespace.command),
                     on_event=_printer(namespace),
                     stop=stop,
                     keys=keys,
                     wire=wire,
+                    around=around,
                 )
 
     run_loop(run())
@@ -317,17 +317,8 @@ def _recording(
     log = start_log(namespace, header, channel="meshpoint")
     if log is not None:
         _printer(namespace)(f"{namespace.command}: log {log.path}")
-    clock = _clock(namespace)
+    clock = clock_of(namespace, namespace.command)
     return recording(log, lambda: open_bus_from(namespace), _printer(namespace), clock)
-
-
-def _clock(namespace: argparse.Namespace) -> NodeClock:
-    if namespace.pace is None:
-        return Clock(namespace.speed)
-    try:
-        return PacedClock(PaceFile(namespace.pace), namespace.command, namespace.speed)
-    except (OSError, ValueError) as error:
-        raise CommandError(f"--pace {namespace.pace}: {error}") from error
 
 
 def _printer(namespace: argparse.Namespace) -> Callable[[str], None]:

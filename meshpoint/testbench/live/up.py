@@ -21,6 +21,7 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ControllerState, ControllerStatus, ValveStatus
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.live.children import Child, end_all, spawn
@@ -63,6 +64,7 @@ def add_parser(commands: Any) -> None:
     rig = parser.add_argument_group("rig")
     arguments.add_rig(rig)
     arguments.add_truck(rig)
+    add_firmware(rig)
     add_rig_start(rig)
     controller = parser.add_argument_group("controller")
     arguments.add_controller(controller)
@@ -96,6 +98,7 @@ def run(namespace: argparse.Namespace) -> int:
     arguments.keys_of(namespace)
     arguments.settings_of(namespace)
     arguments.xcp_of(namespace)
+    firmware_of(namespace)
     with open_bus_from(namespace) as bus:
         _check_free(bus)
         return asyncio.run(_run(namespace, bus))

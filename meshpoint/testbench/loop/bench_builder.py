@@ -100,7 +100,7 @@ def virtual_bench(
 def _on_classic_bus(setup: Setup, cores: Sequence[Core], records: Records | None) -> list[Core]:
     from meshpoint.bus.classic.cores import on_classic_bus
 
-    classic = on_classic_bus(setup.sheet, *cores)
+    classic = on_classic_bus(setup.sheet, *cores, has_board=setup.firmware is not None)
     if records is not None:
         classic[0] = recorded_steps(classic[0], records, setup.header.run_hash, diagnosed=False)
     return classic

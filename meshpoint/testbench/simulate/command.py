@@ -17,16 +17,13 @@ from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.firmware_rig import NOT_OF_THE_GEARBOX
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
@@ -90,7 +87,7 @@ def add_parser(commands: Any) -> None:
         f"same frames, to the byte; a registry has to listen there (default: {REGISTRY}); needs "
         "meshpoint[silkit] (docs/silkit.md)",
     )
-    _add_firmware(parser)
+    add_firmware(parser)
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
@@ -149,34 +146,6 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
         "they are reported of adapters (docs/bench.md); one through which our messages do not fit "
         "is refused with the reason (default: nothing)",
     )
-
-
-def _add_firmware(parser: argparse.ArgumentParser) -> None:
-    """--firmware."""
-    parser.add_argument(
-        "--firmware",
-        choices=tuple(Firmware),
-        help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
-        "machine by its C compiler, or that of meshpoint[firmware]; cortex-m4: its linked image on "
-        "an emulated board, which meshpoint[firmware] brings; --profile fd alone (default: the "
-        "rig's own board)",
-    )
-
-
-def _firmware(namespace: argparse.Namespace, faults: tuple[ScheduledFault, ...]) -> Firmware | None:
-    """As it is asked for; CommandError where the run is none for it."""
-    if namespace.firmware is None:
-        return None
-    if arguments.wire_of(namespace) is WireProfile.CLASSIC:
-        raise CommandError("--firmware speaks CAN FD alone: --profile classic, allowed is fd")
-    for fault in faults:
-        if fault.order.kind in NOT_OF_THE_GEARBOX:
-            found = RigFault(fault.order.kind).name
-            raise CommandError(
-                f"--faults: found {found}, a fault of the board that --firmware stands in for; "
-                "allowed are faults of the gearbox and its sensors"
-            )
-    return Firmware(namespace.firmware)
 
 
 def _adapter(namespace: argparse.Namespace, sheet: GearboxSheet) -> AdapterProfile | None:
@@ -312,7 +281,7 @@ def _setup(
         bus_load=namespace.bus_load,
         adapter=_adapter(namespace, sheet),
         bus_queue=QueueOrder(namespace.bus_queue),
-        firmware=_firmware(namespace, faults),
+        firmware=firmware_of(namespace),
     )
 
 
