@@ -18,9 +18,10 @@ import unicorn
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.build import CROSS_COMPILERS, image, source_folder
+from meshpoint.testbench.firmware.build import BOTH_IMAGES, CROSS_COMPILERS, image, source_folder
 from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.elf import segments
+from meshpoint.testbench.firmware.firmware_rig import FirmwareRig
 from meshpoint.testbench.loop import simulate
 from meshpoint.testbench.loop.schedules import MIXED
 from meshpoint.testbench.loop.setup import Setup
@@ -76,10 +77,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--by", choices=CROSS_COMPILERS, default="gcc")
     given = parser.parse_args()
-    elf = image(source_folder(), "both", given.by)
+    elf = image(source_folder(), BOTH_IMAGES, given.by)
     board = EmulatedBoard(elf)
     counter = Counter(elf, board)
-    simulate.board_of = lambda _firmware: board
+    simulate.around_rig = lambda *_: lambda rig: FirmwareRig(rig, board)
     simulate.simulate(
         Setup(load_sheet("truck12"), ControllerSettings(), seed=given.seed, shifts=given.shifts,
               pairs=MIXED, firmware=Firmware.CORTEX_M4),
