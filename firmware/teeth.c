@@ -23,7 +23,7 @@ static const uint16_t TOP[HAL_WHEELS] = {1480, 1505, 1665, 1554};
 /* Of a wheel its rising edges, or the falling ones. */
 struct track {
     struct e2e_channel e2e;
-    uint16_t newest; /* index of the last edge told of */
+    uint16_t newest; /* index of the last edge reported */
     uint8_t in;      /* the ring of those that are not shown yet */
     uint8_t out;
     uint32_t edges_us[RING]; /* in the rig's clock */
@@ -42,7 +42,7 @@ struct rig_clock {
     int32_t earliest_us; /* by which the earliest frame of this second came later */
 };
 
-uint32_t teeth_told;
+uint32_t teeth_reported;
 uint32_t teeth_shown;
 static struct track tracks[HAL_CHANNELS];
 static struct pin pins[HAL_WHEELS];
@@ -84,7 +84,7 @@ static void hear(struct track *track, const struct edge_read *read, uint32_t now
     unsigned fresh = (uint16_t)(read->newest_index - track->newest);
     int32_t late_us = (int32_t)(now_us - read->read_us - rig.offset_us);
     track->newest = read->newest_index;
-    teeth_told += fresh;
+    teeth_reported += fresh;
     rig.earliest_us = late_us < rig.earliest_us ? late_us : rig.earliest_us;
     if (!rig.is_known || track->e2e.state != E2E_VALID) { /* 16 bits place what is new in a row */
         return;
@@ -138,7 +138,7 @@ static void find_clock(void) {
     }
     rig.offset_us += (uint32_t)rig.rest_us;
     rig.rest_us = 0;
-    teeth_told = 0;
+    teeth_reported = 0;
     teeth_shown = 0;
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         tracks[i].out = tracks[i].in; /* by the clock before */

@@ -5,7 +5,7 @@
 #include "hal.h"
 
 /* Edges since the rig was found, for a debugger. */
-extern uint32_t teeth_told;
+extern uint32_t teeth_reported;
 extern uint32_t teeth_shown;
 
 void teeth_poll(void);                          /* each millisecond */

@@ -250,9 +250,15 @@ void on_can(void) {
 }
 
 #if IMAGE_TEETH
+/* One compare unit toggles its pin as its time has come; frozen again, it does so no second time. */
+static uint32_t toggles(unsigned wheel) {
+    return FIELD(3, 4 + 8 * (wheel % 2));
+}
+
 void hal_toggle_at(unsigned wheel, uint32_t sensor_us) {
-    bool is_past = (int32_t)(sensor_us - TIM2->CNT) < 2;
-    TIM2->CCR[wheel] = is_past ? TIM2->CNT + 2 : sensor_us;
+    TIM2->CCR[wheel] = sensor_us;
+    TIM2->CCMR[wheel / 2] |= toggles(wheel);
+    TIM2->SR = ~BIT(wheel + 1);
     TIM2->DIER |= BIT(wheel + 1);
 }
 #endif
@@ -260,8 +266,9 @@ void hal_toggle_at(unsigned wheel, uint32_t sensor_us) {
 void on_toggle(void) {
 #if IMAGE_TEETH
     for (unsigned i = 0; i < HAL_WHEELS; i++) {
-        if (TIM2->SR & BIT(i + 1)) {
-            TIM2->SR = ~BIT(i + 1);
+        if ((TIM2->SR & TIM2->DIER & BIT(i + 1)) != 0) {
+            TIM2->CCMR[i / 2] &= ~toggles(i);
+            TIM2->DIER &= ~BIT(i + 1);
             board_on_toggled(i);
         }
     }

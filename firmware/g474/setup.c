@@ -53,6 +53,21 @@ static void start_pins(void) {
 #endif
 }
 
+static void count_microseconds(struct tim *tim) {
+    tim->PSC = MHZ - 1;
+    tim->ARR = tim == TIM2 || tim == TIM5 ? UINT32_MAX : UINT16_MAX; /* as wide as they are */
+    tim->EGR = BIT(0); /* the prescaler is taken over */
+    tim->SR = 0;
+}
+
+#if IMAGE_TEETH
+static void start_wheels(void) { /* four outputs, low until they toggle */
+    TIM2->CCER = 0x1111;
+}
+
+static void start_converters(void) { /* their inputs are such outputs */
+}
+#else
 /* 32 bits from a register, 16 of them to memory, around in a circle. */
 static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg *from,
                        volatile uint16_t *to, uint32_t count, uint32_t interrupt) {
@@ -63,20 +78,6 @@ static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg 
     dma->CH[channel].CCR = BIT(0) | interrupt | BIT(5) | BIT(7) | BIT(9) | BIT(10);
 }
 
-static void count_microseconds(struct tim *tim) {
-    tim->PSC = MHZ - 1;
-    tim->ARR = tim == TIM2 || tim == TIM5 ? UINT32_MAX : UINT16_MAX; /* as wide as they are */
-    tim->EGR = BIT(0); /* the prescaler is taken over */
-    tim->SR = 0;
-}
-
-#if IMAGE_TEETH
-static void start_wheels(void) { /* each pin changes as its time has come */
-    TIM2->CCMR[0] = 0x3030;
-    TIM2->CCMR[1] = 0x3030;
-    TIM2->CCER = 0x1111;
-}
-#else
 /* Both edges of two inputs: units 1 and 2 capture the first one's, 3 and 4 the third one's. */
 static void start_capture(struct tim *tim, unsigned first, uint32_t request) {
     for (unsigned i = 0; i < 4; i++) {
@@ -91,23 +92,6 @@ static void start_capture(struct tim *tim, unsigned first, uint32_t request) {
 static void start_wheels(void) {
     start_capture(TIM2, 0, 56);
     start_capture(TIM3, 4, 61);
-}
-#endif
-
-static void start_timers(void) {
-    count_microseconds(TIM2);
-    count_microseconds(TIM3);
-    count_microseconds(TIM5);
-    count_microseconds(TIM6);
-    start_wheels();
-    TIM3->SMCR = 6 | FIELD(1, 4); /* started by TIM2, it is the lower half of it */
-    TIM2->CR2 = FIELD(1, 4);
-    TIM6->ARR = 1000 - 1; /* a scan each millisecond */
-    TIM6->CR2 = FIELD(2, 4);
-    TIM5->DIER = BIT(1) | BIT(2); /* two times at which to wake */
-    TIM2->CR1 = BIT(0);
-    TIM5->CR1 = BIT(0);
-    TIM6->CR1 = BIT(0);
 }
 
 static void wait_us(unsigned us) { /* at least */
@@ -140,6 +124,23 @@ static void start_converters(void) {
     start_ring(DMA2, 1, 36, &ADC2->DR, levels_raw, HAL_WHEELS, 0);
     start_adc(ADC1, BIT(0) | FIELD(7, 2) | FIELD(4, 5));
     start_adc(ADC2, 0);
+}
+#endif
+
+static void start_timers(void) {
+    count_microseconds(TIM2);
+    count_microseconds(TIM3);
+    count_microseconds(TIM5);
+    count_microseconds(TIM6);
+    start_wheels();
+    TIM3->SMCR = 6 | FIELD(1, 4); /* started by TIM2, it is the lower half of it */
+    TIM2->CR2 = FIELD(1, 4);
+    TIM6->ARR = 1000 - 1; /* a scan each millisecond */
+    TIM6->CR2 = FIELD(2, 4);
+    TIM5->DIER = BIT(1) | BIT(2); /* two times at which to wake */
+    TIM2->CR1 = BIT(0);
+    TIM5->CR1 = BIT(0);
+    TIM6->CR1 = BIT(0);
 }
 
 static void hear(unsigned filter, uint32_t first_id, uint32_t last_id) {

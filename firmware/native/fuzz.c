@@ -35,18 +35,21 @@ static void make_command(uint8_t *data, uint8_t *counter) {
     e2e_protect(data, LENGTH_VALVE_COMMAND, frames_data_id(ID_VALVE_COMMAND), ++*counter);
 }
 
-/* A whole edge frame of anything, for the image teeth; the others do not hear it. */
+/* A read's edge frames, for the image teeth; the others do not hear them. Most are as a rig's. */
 static void send_edges(void) {
     static uint8_t counters[HAL_CHANNELS], data[LENGTH_EDGES];
-    unsigned channel = any(HAL_CHANNELS);
-    uint32_t id = ID_EDGES + channel * ID_EDGES_STEP, read_us = native.sensor_us - any(40000);
-    for (unsigned i = E2E_HEADER; i < sizeof data; i++) {
-        data[i] = (uint8_t)(i < 7 && any(8) != 0 ? read_us >> 8 * (i - 3) & 0xFF : any(256));
+    for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
+        uint32_t id = ID_EDGES + channel * ID_EDGES_STEP;
+        uint32_t read_us = any(200) ? native.sensor_us - any(5000) : any(UINT32_MAX);
+        for (unsigned i = E2E_HEADER; i < sizeof data; i++) {
+            data[i] = (uint8_t)(i < 7 ? read_us >> 8 * (i - 3) & 0xFF : any(256));
+        }
+        data[8] = (uint8_t)(any(20) ? 0 : data[8]); /* the index goes on by little */
+        data[9] = (uint8_t)(any(20) ? EDGE_STAMPS : data[9]);
+        counters[channel] = (uint8_t)(counters[channel] + (any(20) ? 1 : any(4)));
+        e2e_protect(data, sizeof data, frames_data_id(id), counters[channel]);
+        native_receive(id, data, sizeof data, 1, 1);
     }
-    data[8] = (uint8_t)(any(8) != 0 ? 0 : data[8]); /* the index goes on by little */
-    counters[channel] = (uint8_t)(counters[channel] + any(4));
-    e2e_protect(data, sizeof data, frames_data_id(id), counters[channel]);
-    native_receive(id, data, sizeof data, 1, 1);
 }
 
 /* Sends one; whether it may have been a valid command. */

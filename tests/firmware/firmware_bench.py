@@ -11,7 +11,7 @@ from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAc
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Analogue, Board
-from meshpoint.testbench.firmware.build import BOTH_IMAGES, image, source_folder
+from meshpoint.testbench.firmware.build import IMAGES, image, source_folder
 from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.testbench.firmware.native_board import CHANGES, Memory, NativeBoard
 
@@ -38,12 +38,12 @@ def command(orders: dict[str, Order]) -> ValveCommand:
     return ValveCommand(**fields)
 
 
-def emulated_board(by: str) -> EmulatedBoard:
-    """One with the image of both parts, by a compiler; skips with the reason where that, or
-    unicorn, is not installed."""
+def emulated_board(by: str, name: str = "both") -> EmulatedBoard:
+    """One with this image, by a compiler; skips with the reason where that, or unicorn, is not
+    installed."""
     pytest.importorskip("unicorn", reason="meshpoint[firmware] is not installed")
     try:
-        return EmulatedBoard(image(source_folder(), BOTH_IMAGES, by))
+        return EmulatedBoard(image(source_folder(), IMAGES[name], by))
     except CommandError as error:
         pytest.skip(str(error))
 

@@ -3,7 +3,7 @@
     python tests/firmware/teeth_chain.py [--seeds 10] [--bus-load 0.5] [--ppm 0]
 
 Ten shifts of a simulated gearbox from each seed, its frames as they come off the bus; says how many
-edges the rig's frames told of, what became of them, and by how much the intervals differ.
+edges the rig's frames reported, what became of them, and by how much the intervals differ.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Timed = tuple[int, Frame]
 
 
 class Read(NamedTuple):
-    """What an edge frame tells. Times in us, unbounded: they go on where the clock wraps."""
+    """What an edge frame reports. Times in us, unbounded: they go on where the clock wraps."""
 
     channel: int
     read_us: int
@@ -50,7 +50,7 @@ class Read(NamedTuple):
 
 
 def reads(frames: Iterable[Frame]) -> list[Read]:
-    """What the edge frames among them tell."""
+    """What the edge frames among them report."""
     last_us, indices, found = [0] * CHANNELS, [0] * CHANNELS, []
     for frame in frames:
         channel = CHANNEL_OF.get(frame.can_id)
@@ -68,9 +68,9 @@ def reads(frames: Iterable[Frame]) -> list[Read]:
     return found
 
 
-def edges_of(channel: int, told: Iterable[Read]) -> list[int]:
+def edges_of(channel: int, reported: Iterable[Read]) -> list[int]:
     """All edges of one channel, in order."""
-    return [edge_us for read in told if read.channel == channel for edge_us in read.edges_us]
+    return [edge_us for read in reported if read.channel == channel for edge_us in read.edges_us]
 
 
 class TwoBoards:
@@ -87,10 +87,10 @@ class TwoBoards:
 
     @property
     def not_shown(self) -> int:
-        """How many edges the teeth were told of that they have not shown."""
-        told, shown = (c_uint32.in_dll(self.teeth.code, f"teeth_{what}").value
-                       for what in ("told", "shown"))  # fmt: skip
-        return told - shown
+        """How many edges the teeth have been sent that they have not shown."""
+        reported, shown = (c_uint32.in_dll(self.teeth.code, f"teeth_{what}").value
+                       for what in ("reported", "shown"))  # fmt: skip
+        return reported - shown
 
     def hear(self, frames: Iterable[Timed], ppm: float = 0.0) -> None:
         """The teeth hear frames, each at its time since power-on."""
@@ -137,7 +137,7 @@ class Comparison(NamedTuple):
 
     @property
     def intervals_us(self) -> list[tuple[int, int]]:
-        """Between two edges that were both read: as the rig told it, and as it was read."""
+        """Between two edges that were both read: as the rig reported it, and as it was read."""
         return [(rig - rig_before, read - read_before)
                 for (rig_before, read_before), (rig, read) in pairwise(self.pairs)]  # fmt: skip
 
@@ -161,18 +161,18 @@ def read_back(
 ) -> list[Comparison]:
     """Of each channel, what came of the edges that are to be shown from a time since power-on. The
     boards have heard the rig's frames, or some of them, and gone on until all was shown."""
-    told, said = reads(frame for _, frame in rig), reads(boards.sent)
+    reported, said = reads(frame for _, frame in rig), reads(boards.sent)
     times_us = [
         time_us * (1.0 + ppm * 1e-6) for time_us, frame in rig if frame.can_id in CHANNEL_OF
     ]
     power_on_us = said[0].read_us - READ_US
     shift_us = power_on_us + DELAY_US + min(
         time_us - read.read_us
-        for time_us, read in zip(times_us, told, strict=True) if time_us < from_us
+        for time_us, read in zip(times_us, reported, strict=True) if time_us < from_us
     )  # fmt: skip
     found = []
     for channel in range(CHANNELS):
-        rig_us = [edge_us for edge_us in edges_of(channel, told)
+        rig_us = [edge_us for edge_us in edges_of(channel, reported)
                   if edge_us + shift_us >= power_on_us + from_us]  # fmt: skip
         read_us = [edge_us for edge_us in edges_of(channel, said)
                    if edge_us >= rig_us[0] + shift_us - NEAR_US]  # fmt: skip

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 
 import pytest
-from firmware_bench import AT_REST, WRAP
+from firmware_bench import AT_REST, WRAP, emulated_board
 from teeth_chain import (
     CHANNEL_OF,
     DELAY_US,
@@ -25,6 +25,7 @@ from teeth_chain import (
 
 from meshpoint.dbc.e2e import write_crc
 from meshpoint.dbc.frame import Frame
+from meshpoint.testbench.firmware.build import CROSS_COMPILERS
 from meshpoint.testbench.firmware.native_board import CHANNELS, NativeBoard
 
 SLEW = 450e-6
@@ -36,7 +37,7 @@ START_US = WRAP - 2 * SECOND_US
 LAST = 4 * CHANNELS
 """Frames of four reads."""
 AT_THE_CHANGE = 4
-"""From run-up to rig, a pin may show one edge more than was told, or one less."""
+"""From run-up to rig, a pin may show one edge more than was reported, or one less."""
 TOP_EDGES_S = [2.0 * 18.5 * each for each in (40, 43 * 35 / 37, 45, 42)]
 """1,110 rpm in gear 12: what docs/firmware.md promises of the run-up."""
 
@@ -68,14 +69,14 @@ def played(
 
 
 def missed(channels: list[Comparison], least: int = 500) -> int:
-    """How many edges were not read; none was read that the rig did not tell of."""
+    """How many edges were not read; none was read that the rig did not report."""
     assert not any(channel.extra for channel in channels)
     assert all(len(channel.pairs) > least for channel in channels)
     return sum(len(channel.missed) for channel in channels)
 
 
 @pytest.mark.parametrize("ppm", [-200.0, 0.0, 200.0])
-def test_a_sensor_board_reads_every_interval_that_the_rig_told(
+def test_a_sensor_board_reads_every_interval_that_the_rig_reported(
     boards: TwoBoards, rig: list[Timed], ppm: float
 ) -> None:
     """Wheels out of round, teeth out of place, all of a shift: to 1 us, and what the clocks do."""
@@ -83,9 +84,9 @@ def test_a_sensor_board_reads_every_interval_that_the_rig_told(
     assert missed(channels) == 0
     assert abs(boards.not_shown) <= AT_THE_CHANGE
     for channel in channels:
-        assert len({told_us for told_us, _ in channel.intervals_us}) > 100
-        for told_us, read_us in channel.intervals_us:
-            assert abs(read_us - told_us) <= 1 + SLEW * told_us
+        assert len({reported_us for reported_us, _ in channel.intervals_us}) > 100
+        for reported_us, read_us in channel.intervals_us:
+            assert abs(read_us - reported_us) <= 1 + SLEW * reported_us
         (from_us, first_us), (to_us, last_us) = channel.pairs[0], channel.pairs[-1]
         drift_us = ppm * 1e-6 * (to_us - from_us)
         assert last_us - to_us == pytest.approx(first_us - from_us + drift_us, abs=300.0)
@@ -101,7 +102,7 @@ def test_a_frame_that_is_lost_costs_no_edge(boards: TwoBoards, rig: list[Timed])
 def test_after_a_gap_of_any_length_no_pulse_is_late_or_upside_down(
     boards: TwoBoards, rig: list[Timed]
 ) -> None:
-    """One frame in ten is lost besides; of the last reads none, so that all is told."""
+    """One frame in ten is lost besides; of the last reads none, so that all is reported."""
     rng, heard, from_us = random.Random(1), [], 0.0
     for time_us, frame in rig[:-LAST]:
         if time_us > from_us + 300_000.0:
@@ -202,6 +203,29 @@ def test_a_rig_whose_clock_jumps_ahead_is_found_by_the_next_second(
     assert missed(read_back(ahead, boards, from_us=2_300_000), least=50) == 0
 
 
+PINS = (("A", 0), ("A", 1), ("B", 10), ("B", 11))
+
+
+@pytest.mark.parametrize("by", CROSS_COMPILERS)
+def test_the_emulated_board_switches_its_pins_when_the_native_one_does(
+    boards: TwoBoards, rig: list[Timed], by: str
+) -> None:
+    """The run-up of a second, and what a rig says in the next one."""
+    emulated = emulated_board(by, "teeth")
+    emulated.power_on(START_US)
+    heard = [each for each in rig if each[0] < 2.2 * SECOND_US]
+    for time_us, frame in heard:
+        boards.hear([(time_us, frame)])
+        emulated.advance(time_us - emulated.own_us)
+        emulated.receive(frame)
+    for pin, toggled_us in zip(PINS, boards.toggled_us, strict=True):
+        assert len(toggled_us) > SECOND_US // 1_000
+        assert [START_US + at_us for at_us, which, _ in emulated.outputs if which == pin] == (
+            toggled_us
+        )
+    assert emulated.resets == 0
+
+
 def since_power_on(toggled_us: list[int]) -> list[int]:
     return [each - START_US for each in toggled_us]
 
@@ -234,9 +258,9 @@ def test_without_a_rig_the_four_wheels_run_up_and_down_together(boards: TwoBoard
 
 def test_a_sensor_board_reads_the_run_up(boards: TwoBoards) -> None:
     boards.advance(7 * SECOND_US)
-    told = reads(boards.sent)
+    reported = reads(boards.sent)
     for channel in range(CHANNELS):
-        times_us = since_power_on(edges_of(channel, told))
+        times_us = since_power_on(edges_of(channel, reported))
         edges = between(times_us, 4 * SECOND_US, 6 * SECOND_US)
         assert edges == pytest.approx(TOP_EDGES_S[channel // 2], abs=1.0)
 
