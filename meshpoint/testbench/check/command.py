@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from contextlib import suppress
 from typing import Any, Final
 
@@ -12,6 +11,7 @@ import can
 from rich.table import Table
 from rich.text import Text
 
+from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.options import (
     DEFAULT_INTERFACE,
     BusOpenError,
@@ -35,6 +35,7 @@ from meshpoint.testbench.check.interface import (
 from meshpoint.testbench.check.listener import Listener
 from meshpoint.testbench.check.shafts import CLASSIC_SHAFTS, FEW_EDGES, Shaft, judge_turned
 from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.pace import add_pace, clock_of
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import complain, console, write_json
@@ -92,6 +93,7 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_gearbox(parser)
     arguments.add_wire(parser)
+    add_pace(parser)
     arguments.add_json(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
@@ -120,12 +122,13 @@ def run(namespace: argparse.Namespace) -> int:
         names = " and ".join(sorted(uncounted))
         raise CommandError(f"--turn {names}: --profile classic carries no edges of these shafts")
     listener = Listener(sheet, arguments.unpack_all_of(namespace, sheet) if is_classic else None)
+    clock = clock_of(namespace, "controller")  # in whose place it listens
     with bus:
         socket_finding = judge_socket(bus)
         complain(f"listening for {namespace.seconds:g} s on {bus.channel_info}")
         try:
-            _listen(bus, listener, namespace.seconds)
-            turned = _ask_to_turn(bus, listener, namespace) if listener.frames else []
+            _listen(bus, listener, clock, namespace.seconds)
+            turned = _ask_to_turn(bus, listener, clock, namespace) if listener.frames else []
         except (can.CanError, OSError) as error:
             findings.append(Finding(GROUP, "bus", Verdict.BAD, f"lost while listening: {error}"))
             turned = []
@@ -180,15 +183,15 @@ def _machine_alone(finding: Finding) -> Finding:
     return finding
 
 
-def _listen(bus: can.BusABC, listener: Listener, seconds: float) -> None:
-    end_s = time.monotonic() + seconds
-    while (left_s := end_s - time.monotonic()) > 0.0:
-        _take(bus, listener, min(left_s, WAIT_S))
+def _listen(bus: can.BusABC, listener: Listener, clock: NodeClock, seconds: float) -> None:
+    end_us = clock.now_us() + round(seconds * 1e6)
+    while (left_us := end_us - clock.now_us()) > 0:
+        _take(bus, listener, clock, min(clock.wall_s(left_us), WAIT_S))
 
 
-def _take(bus: can.BusABC, listener: Listener, wait_s: float) -> None:
+def _take(bus: can.BusABC, listener: Listener, clock: NodeClock, wait_s: float) -> None:
     message = bus.recv(wait_s)
-    now_s = time.monotonic()
+    now_s = clock.now_us() * 1e-6
     if message is None:
         listener.heard.idle(now_s)
     else:
@@ -196,7 +199,7 @@ def _take(bus: can.BusABC, listener: Listener, wait_s: float) -> None:
 
 
 def _ask_to_turn(
-    bus: can.BusABC, listener: Listener, namespace: argparse.Namespace
+    bus: can.BusABC, listener: Listener, clock: NodeClock, namespace: argparse.Namespace
 ) -> list[Finding]:
     """Asks on standard error; goes on as soon as a shaft has counted."""
     if namespace.turn is None:
@@ -205,10 +208,10 @@ def _ask_to_turn(
     for name in namespace.turn or _counted(namespace):
         asked, before = Shaft(name), listener.edges()
         complain(f"turn the {asked} shaft by hand, and no other ({namespace.turn_seconds:g} s)")
-        end_s = time.monotonic() + namespace.turn_seconds
+        end_us = clock.now_us() + round(namespace.turn_seconds * 1e6)
         turned = dict.fromkeys(Shaft, 0)
-        while time.monotonic() < end_s and max(turned.values()) < 3 * FEW_EDGES:
-            _take(bus, listener, WAIT_S)
+        while clock.now_us() < end_us and max(turned.values()) < 3 * FEW_EDGES:
+            _take(bus, listener, clock, WAIT_S)
             turned = {shaft: n - before[shaft] for shaft, n in listener.edges().items()}
         found.append(judge_turned(asked, turned))
         complain(f"  {found[-1].verdict}: {found[-1].text}")
