@@ -38,8 +38,9 @@ class EmulatedBoard:
     """As `Board`. CommandError where the image uses a register as it must not be used."""
 
     def __init__(self, elf: bytes, *, is_free: bool = False) -> None:
-        """elf: the image. is_free: TIM6 triggers the scans as it comes round, and not `read`."""
-        self.processor = Processor(segments(elf), PAGES)
+        """elf: the image. is_free: TIM6 triggers the scans as it comes round, and not `read`, and
+        each instruction is counted."""
+        self.processor = Processor(segments(elf), PAGES, counts=is_free)
         self.is_on = False
         self.resets = self.coils_together = self.own_us = self.driven = 0
         self.clutch: bool | None = None

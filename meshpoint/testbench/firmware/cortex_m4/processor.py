@@ -56,6 +56,7 @@ ALIGNED: Final = 1 << 9
 FRAME_BYTES: Final = 32
 THUMB: Final = 1 << 24
 NO_MEMORY: Final = 0x1F00_0000
+BRANCH_TO_ITSELF: Final = b"\xfe\xe7"
 WFI: Final = b"\x30\xbf"
 LETS_IN: Final = (b"\x62\xb6", b"\x10\x88", b"\x6f\x8f")
 """CPSIE i, and the ends of MSR PRIMASK and ISB."""
@@ -91,8 +92,13 @@ class State(Enum):
 class Processor:
     """One processor with its memories. Its bus is given with each reset: it begins anew."""
 
-    def __init__(self, segments: Iterable[tuple[int, bytes]], pages: Iterable[range]) -> None:
-        """segments: what is in flash. pages: where there are registers."""
+    def __init__(
+        self, segments: Iterable[tuple[int, bytes]], pages: Iterable[range], *, counts: bool
+    ) -> None:
+        """segments: what is in flash. pages: where there are registers. counts: whether
+        instructions are counted behind the first sleep too, which makes them three times as slow;
+        else a loop there that waits is known by a branch to itself alone."""
+        self._counts = counts
         unicorn, arm = needed("unicorn", EXTRA), needed("unicorn.arm_const", EXTRA)
         self._fault = unicorn.UcError
         self._is_instruction_fault = unicorn.UC_ERR_INSN_INVALID
@@ -117,6 +123,9 @@ class Processor:
             self.unicorn.mem_write(address, content)
             self.unicorn.mem_write(address - FLASH.start, content)
             self._wakes_at |= {address + place for place in _behind(content, WFI)}
+            for place in _behind(content, BRANCH_TO_ITSELF):
+                at = address + place - len(BRANCH_TO_ITSELF)
+                self.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._on_waiting, begin=at, end=at)
             for place in (place for code in LETS_IN for place in _behind(content, code)):
                 self.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._on_let_in,
                                       begin=address + place, end=address + place)  # fmt: skip
@@ -130,6 +139,7 @@ class Processor:
         """Begins at the reset vector. The memories keep what they have."""
         self._bus, self._nvic = bus, bus.nvic
         self.state, self._is_stuck, self._error = State.RUNS, False, None
+        self._budget = BUDGET
         stack, entry = struct.unpack("<2I", self.read_memory(self._nvic.vector(0), 8))
         values = self._core.values
         values[LR], values[XPSR], values[SP], values[PRIMASK] = WORD, THUMB, stack & ~3, 0
@@ -182,7 +192,7 @@ class Processor:
         self._exception, self._started_at, self._is_stopped = 0, self._pc, False
         fault = None
         try:
-            self.unicorn.emu_start(self._pc | 1, NOWHERE, count=BUDGET)
+            self.unicorn.emu_start(self._pc | 1, NOWHERE, count=self._budget)
         except self._fault as error:
             fault = error.errno
         self._core.load()
@@ -197,6 +207,8 @@ class Processor:
             self._nvic.pend(SVCALL)
         elif not self._is_stopped:
             self.state = State.SLEEPS if self._pc in self._wakes_at else State.SPINS
+            if self.state is State.SLEEPS and not self._counts:
+                self._budget = 0  # unicorn's word for no end
 
     def _enter(self, number: int) -> None:
         """Pushes eight words and goes to the handler."""
@@ -291,6 +303,10 @@ class Processor:
     def _on_bad_access(self, _uc: Any, _kind: int, address: int, *_rest: Any) -> bool:
         self._bad_address = address
         return False
+
+    def _on_waiting(self, _uc: Any, _address: int, _size: int, _data: Any) -> None:
+        """At a branch to itself: nothing comes of it but time."""
+        self.unicorn.emu_stop()
 
     def _on_let_in(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
         """Behind an instruction that lets exceptions in: what waits comes now."""
