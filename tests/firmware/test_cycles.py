@@ -1,0 +1,34 @@
+"""What the machine code of the board takes at the most: cycles of interrupts and rounds, stack."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from stack_bound import bound, call_graph, total_bytes
+from worst_case import CYCLES_A_US, NAMES, worst_case
+
+from meshpoint.testbench.firmware.build import CROSS_COMPILERS, source_folder
+
+MOST_US = {"main loop": 1_000, "FDCAN1": 100, "SysTick": 10, "TIM5": 10, "DMA2 channel 1": 10}
+"""A round of the main loop ends before the next tick, so that the watchdog (2 ms) is fed in time;
+an interrupt, behind another one, leaves a valve its 100 us."""
+
+
+@pytest.mark.skipif(
+    shutil.which("arm-none-eabi-objdump") is None,
+    reason="binutils-arm-none-eabi are not installed: `make firmware-tools`",
+)
+@pytest.mark.parametrize("by", CROSS_COMPILERS)
+def test_each_interrupt_and_each_round_of_the_main_loop_ends_in_its_time(by: str) -> None:
+    found = worst_case(by)
+    assert {NAMES[number] for number in found.cycles} == set(MOST_US)
+    for number, cycles in found.cycles.items():
+        assert 0 < cycles < CYCLES_A_US * MOST_US[NAMES[number]], NAMES[number]
+
+
+@pytest.mark.skipif(
+    shutil.which("arm-none-eabi-gcc") is None, reason="gcc-arm-none-eabi is not installed"
+)
+def test_the_stack_is_never_deeper_than_the_call_graph_says() -> None:
+    assert 0 < worst_case("gcc").stack_bytes <= total_bytes(bound(call_graph(source_folder())))

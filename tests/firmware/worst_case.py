@@ -1,0 +1,174 @@
+"""The most that the board's machine code takes: cycles of each interrupt, and stack.
+
+    python tests/firmware/worst_case.py --by gcc
+
+Cycles are an estimate from above: the image runs on the emulated board, and each instruction costs
+the most that the Cortex-M4's manual gives it (ARM DDI 0439, instruction set summary: a load 2, a
+branch taken 4, a division 12, a register more of a list 1), a wait state of the flash, and two more
+for a load that may be of a peripheral or of flash. At 80 MHz a cycle is 12.5 ns. What is asked of
+the board is meant to be the hardest: noise on all wheels up to the most that is taken, and three
+commands for all valves each millisecond, with times to keep.
+The stack's bound is the compiler's (stack_bound.py); what was reached is beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import shutil
+import subprocess
+import tempfile
+from collections import defaultdict
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from firmware_bench import AT_REST, VALVES, CommandBench, emulated_board
+from stack_bound import bound, call_graph, total_bytes
+
+from meshpoint.dbc.messages import ValveAction
+from meshpoint.testbench.firmware.build import (
+    BOTH_IMAGES,
+    CROSS_COMPILERS,
+    image,
+    source_folder,
+)
+from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
+
+CYCLES_A_US: Final = 80
+NAMES: Final = {0: "main loop", 15: "SysTick", 37: "FDCAN1", 66: "TIM5", 72: "DMA2 channel 1"}
+"""By the number of the exception, as the processor counts them."""
+LINE: Final = re.compile(r"^ *([0-9a-f]+):\t[0-9a-f ]+\t(\S+)(?:\t([^;@\n]*))?", re.M)
+BRANCHES: Final = ("b", "bl", "bx", "blx", "cbz", "cbnz", "tbb", "tbh")
+STACK_END, PAINTED, PAINT = 0x2001_8000, 4096, 0xA5
+FIFO: Final = 3
+"""Elements of the CAN controller."""
+NOISE_EDGES: Final = 250
+"""Of one channel in a read: as many are taken."""
+
+
+class Found(NamedTuple):
+    """The most cycles of each exception from entry to exit, 0 is the main loop from one sleep to
+    the next; bytes of stack."""
+
+    cycles: dict[int, int]
+    stack_bytes: int
+
+
+def cost(mnemonic: str, operands: str) -> int:
+    """The most cycles that an instruction takes."""
+    name = mnemonic.split(".")[0]
+    registers = operands.count(",") + 1 + operands.count("-")  # of a list; a range counts for more
+    for first, last in re.findall(r"r(\d+)-r(\d+)", operands):
+        registers += int(last) - int(first) - 1
+    to_pc = 4 if "pc" in operands else 0
+    if name in ("push", "pop") or name.startswith(("ldm", "stm")):
+        return 2 + registers + to_pc
+    if name.startswith(("ldr", "str")):
+        return 5 + (name[3:4] == "d") + to_pc
+    if name in ("udiv", "sdiv"):
+        return 13
+    is_branch = name in BRANCHES or (name[:1] == "b" and name[1:3] in CONDITIONS)
+    return 5 if is_branch else 2
+
+
+CONDITIONS: Final = {
+    "eq", "ne", "cs", "cc", "mi", "pl", "vs", "vc", "hi", "ls", "ge", "lt", "gt", "le", "hs", "lo",
+}  # fmt: skip
+
+
+def costs(elf: bytes) -> dict[int, int]:
+    """By address. FileNotFoundError: no arm-none-eabi-objdump."""
+    objdump = shutil.which("arm-none-eabi-objdump")
+    if objdump is None:
+        raise FileNotFoundError("arm-none-eabi-objdump (Debian: binutils-arm-none-eabi)")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "image.elf"
+        path.write_bytes(elf)
+        listed = subprocess.run([objdump, "-d", path], capture_output=True, text=True, check=True)
+    return {int(at, 16): cost(name, words or "") for at, name, words in LINE.findall(listed.stdout)}
+
+
+class Counter:
+    """Counts cycles by exception, the most of each."""
+
+    def __init__(self, board: EmulatedBoard, costs: dict[int, int]) -> None:
+        import unicorn
+
+        self.most: dict[int, int] = defaultdict(int)
+        self._board, self._costs = board, costs
+        self._spent: dict[int, int] = defaultdict(int)
+        self._nested: list[int] = [0]
+        board.processor.write_memory(STACK_END - PAINTED, bytes([PAINT]) * PAINTED)
+        board.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._count)
+
+    @property
+    def stack_bytes(self) -> int:
+        """The deepest that it became."""
+        painted = self._board.processor.read_memory(STACK_END - PAINTED, PAINTED)
+        return len(painted.lstrip(bytes([PAINT])))
+
+    def sleeps(self) -> None:
+        """What the main loop did since its last sleep is over."""
+        self._spent[0] = 0
+
+    def _count(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
+        active = self._board.chip.nvic.active
+        if active != self._nested[-1]:
+            if active in self._nested:
+                self._nested.pop()
+            else:
+                self._nested.append(active)
+                self._spent[active] = 0
+        self._spent[active] += self._costs[address]
+        self.most[active] = max(self.most[active], self._spent[active])
+
+
+def hardest(bench: CommandBench, board: EmulatedBoard, counter: Counter, reads: int = 6) -> None:
+    """Reads of 10 ms, everything at once: the receive FIFO is full as its interrupt comes."""
+    rng = random.Random(48)
+    for _ in range(reads):
+        for _ in range(10):
+            for channel in range(8):
+                board.capture(channel, [board.sensor_us] * (NOISE_EDGES // 10))
+            for _ in range(FIFO - 1):
+                board.chip.fdcan.receive(bench.valve_frame(**orders(rng, bench.now_us)))
+            bench.command(**orders(rng, bench.now_us))
+            counter.sleeps()
+            bench.wait(1_000)
+        counter.sleeps()
+        board.read(AT_REST)
+        board.take_sent()
+
+
+def orders(rng: random.Random, now_us: int) -> dict[str, tuple[ValveAction, int]]:
+    """For each valve a time of its own."""
+    actions = (ValveAction.ON_AT, ValveAction.OFF_AT)
+    return {valve: (rng.choice(actions), now_us + rng.randrange(40_000)) for valve in VALVES}
+
+
+@cache
+def worst_case(by: str) -> Found:
+    """Of the image with both parts, by this compiler."""
+    elf = image(source_folder(), BOTH_IMAGES, by)
+    board = emulated_board(by)
+    bench = CommandBench(board)
+    counter = Counter(board, costs(elf))
+    hardest(bench, board, counter)
+    return Found(dict(counter.most), counter.stack_bytes)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--by", choices=CROSS_COMPILERS, default="gcc")
+    given = parser.parse_args()
+    found = worst_case(given.by)
+    for number, cycles in sorted(found.cycles.items()):
+        print(f"{NAMES.get(number, number)!s:15} {cycles:7d} cycles {cycles / CYCLES_A_US:7.1f} us")
+    print(f"{'stack':15} {found.stack_bytes:7d} bytes", end="")
+    print(f" of {total_bytes(bound(call_graph(source_folder())))} at the most by gcc's call graph")
+
+
+if __name__ == "__main__":
+    main()
