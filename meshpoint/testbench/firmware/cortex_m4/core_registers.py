@@ -28,6 +28,7 @@ class CoreRegisters:
         size = ctypes.sizeof(ctypes.c_uint64)
         ids = [getattr(arm, f"UC_ARM_REG_{name}") for name in NAMES]
         self._all = _batch(ids, [begin + size * i for i in range(len(NAMES))])
+        self._counter = _batch([ids[PC]], [begin + size * PC])
         self._written = _batch([ids[i] for i in WRITTEN], [begin + size * i for i in WRITTEN])
 
     def load(self) -> None:
@@ -37,6 +38,11 @@ class CoreRegisters:
     def store(self) -> None:
         """Gives it back, but for the program counter."""
         self._library.uc_reg_write_batch(self._handle, *self._written)
+
+    def jump(self, address: int) -> None:
+        """Goes on there, from a hook, without an end of what runs."""
+        self.values[PC] = address | 1
+        self._library.uc_reg_write_batch(self._handle, *self._counter)
 
 
 def _batch(ids: list[int], places: list[int]) -> tuple[Any, Any, int]:

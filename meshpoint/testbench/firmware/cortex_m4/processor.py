@@ -195,8 +195,7 @@ class Processor:
             self.unicorn.emu_start(self._pc | 1, NOWHERE, count=self._budget)
         except self._fault as error:
             fault = error.errno
-        self._core.load()
-        self._pc = self._core.values[PC]
+        self._pc = self._loaded_pc()
         if self._error is not None:
             raise CommandError(f"firmware: {self._error}; at PC 0x{self._pc:08X}")
         if fault is not None or self._exception == IS_BREAKPOINT:
@@ -297,8 +296,13 @@ class Processor:
         self._stop()
 
     def _on_exception(self, _uc: Any, number: int, _data: Any) -> None:
-        self._exception = number
-        self.unicorn.emu_stop()
+        if number == IS_EXIT and not self._is_stuck:
+            self._pc = self._loaded_pc()
+            self._leave()
+            self._jump()
+        else:
+            self._exception = number
+            self.unicorn.emu_stop()
 
     def _on_bad_access(self, _uc: Any, _kind: int, address: int, *_rest: Any) -> bool:
         self._bad_address = address
@@ -312,6 +316,15 @@ class Processor:
         """Behind an instruction that lets exceptions in: what waits comes now."""
         if address != self._started_at and self._nvic.due():
             self._stop()
+
+    def _loaded_pc(self) -> int:
+        self._core.load()
+        return self._core.values[PC]
+
+    def _jump(self) -> None:
+        """Goes on at another place without an end: to start anew takes 20 us."""
+        self._started_at = self._pc
+        self._core.jump(self._pc)
 
 
 def _behind(content: bytes, code: bytes) -> list[int]:
