@@ -1,5 +1,6 @@
 /* Clocks, pins, timers, converters, CAN and watchdog of the board, and the main loop. */
 #include "../board.h"
+#include "../frames.h"
 #include "interrupts.h"
 #include "memory.h"
 #include "registers.h"
@@ -150,7 +151,7 @@ static void hear(unsigned filter, uint32_t first_id, uint32_t last_id) {
 
 /* 500 kbit/s of 80 quanta, sampled at 80 %, and on a classic bus at 87.5 %; 2 Mbit/s of 20, sampled
  * at 80 %. */
-#ifdef PROFILE_CLASSIC
+#if PROFILE_CLASSIC
 enum { CAN_FD = 0, SAMPLED_AT = 70 };
 #else
 enum { CAN_FD = 0x300, SAMPLED_AT = 64 };
