@@ -21,13 +21,13 @@ from meshpoint.testbench.table import build_parser
 for _name in ("check", "commission"):
     build_parser(_name)  # loads the command, before anything is forked
 
-TIMES = 2.5
-"""A rig alone costs less than rig and controller with all that watches them."""
-TIME = ["--speed", str(TIMES * SPEED)]
+TIMES = {Firmware.NATIVE: 2.5, Firmware.CORTEX_M4: 0.5}
+"""Of the speed of time that rig and controller with all that watches them keep up with: a rig alone
+costs less, an emulated board on an emulated processor more."""
 BUS = VCAN.options("vcan0")
 
 
-@pytest.fixture(params=[Firmware.NATIVE])
+@pytest.fixture(params=list(TIMES))
 def standing(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
     """How others get onto the bus time that waits for the rig."""
     try:
@@ -36,8 +36,9 @@ def standing(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[st
         pytest.skip(str(error))
     VCAN.prepare()
     pace = tmp_path / "bus.time"
-    timed = [*BUS, "--pace", str(pace), *TIME]
-    keeper = Command(tmp_path, "up", "--pace-only", str(pace), *TIME)
+    speed = ["--speed", str(TIMES[request.param] * SPEED)]
+    timed = [*BUS, "--pace", str(pace), *speed]
+    keeper = Command(tmp_path, "up", "--pace-only", str(pace), *speed)
     until(lambda: keeper.poll() is not None or pace.exists(), "a bus time")
     rig = Command(tmp_path, "rig", "--stand", "--firmware", request.param, *timed)
     try:
