@@ -167,7 +167,9 @@ def main() -> None:
     for number, cycles in sorted(found.cycles.items()):
         print(f"{NAMES.get(number, number)!s:15} {cycles:7d} cycles {cycles / CYCLES_A_US:7.1f} us")
     print(f"{'stack':15} {found.stack_bytes:7d} bytes", end="")
-    print(f" of {total_bytes(bound(call_graph(source_folder())))} at the most by gcc's call graph")
+    if given.by == "gcc":
+        print(f" of {total_bytes(bound(call_graph(source_folder())))} by its call graph", end="")
+    print()
 
 
 if __name__ == "__main__":

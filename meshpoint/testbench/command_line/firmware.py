@@ -20,7 +20,7 @@ def add_firmware(parser: arguments.Arguments) -> None:
     """The argument."""
     parser.add_argument(
         "--firmware",
-        choices=tuple(Firmware),
+        choices=[str(each) for each in Firmware],
         help="the board's firmware (docs/firmware.md) between rig and bus, native: built for this "
         "machine by its C compiler, or that of meshpoint[firmware]; cortex-m4: its linked image on "
         "an emulated board, which meshpoint[firmware] brings (default: the rig's own board)",

@@ -61,11 +61,11 @@ def cross_compiler(name: str) -> list[str]:
     if name == "zig" and find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc"]
     raise CommandError(
-        "the board's images are built here, and "
-        + {
+        {
             "gcc": "arm-none-eabi-gcc is not installed (Debian: gcc-arm-none-eabi)",
-            "zig": f"ziglang is not installed; pip install 'meshpoint[{EXTRA}]'",
+            "zig": f"ziglang is not installed: pip install 'meshpoint[{EXTRA}]'",
         }[name]
+        + "; the firmware needs it for the board's image"
     )
 
 
@@ -76,8 +76,8 @@ def installed_cross_compiler() -> str:
             cross_compiler(name)
             return name
     raise CommandError(
-        "the board's images are built here, and there is no compiler for them: neither "
-        f"arm-none-eabi-gcc nor ziglang is installed; pip install 'meshpoint[{EXTRA}]'"
+        "the firmware needs a compiler for the board's image, and neither arm-none-eabi-gcc nor "
+        f"ziglang is installed: pip install 'meshpoint[{EXTRA}]'"
     )
 
 
