@@ -59,6 +59,16 @@ def test_the_files_are_written_where_they_are_asked_for(by: str, tmp_path: Path)
     assert {path.stem for path in (tmp_path / "made" / "here").iterdir()} == set(IMAGES)
 
 
+def test_for_a_classic_bus_it_is_one_image_by_a_sheet(by: str, tmp_path: Path) -> None:
+    assert main(["firmware", "--classic", "truck12", "-o", str(tmp_path), "--by", by]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["classic.bin"]
+
+
+def test_a_sheet_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["firmware", "--classic", "nosuch", "-o", str(tmp_path), "--by", "zig"]) == 2
+    assert "--classic nosuch: nosuch: no such file" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("content", [b"", b"\x7fELF", b"MZ" * 200])
 def test_what_is_no_image_is_refused(content: bytes) -> None:
     with pytest.raises(ValueError, match="image"):
