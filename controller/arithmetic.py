@@ -21,7 +21,7 @@ SIZES: Final = (4, 7, 30)
 """Of the matrices tried: OpenBLAS works on blocks, and on what is left over."""
 ELEMENTARY: Final = (math.exp, math.sin, math.cos)
 NUMBERS: Final = 3_000
-"""Of a thousand values of these functions about one is rounded otherwise without FMA (glibc 2.36)."""
+"""Of a thousand values of these functions one is rounded otherwise without FMA (glibc 2.36)."""
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from loop_bench import Loop
@@ -142,7 +143,7 @@ def test_an_intruder_in_place_of_its_own_frame_is_a_difference(
 class Elsewhere(Loop):
     """A loop whose controller says that it ran somewhere else."""
 
-    made_with: dict[str, str | None]
+    made_with: ClassVar[dict[str, str | None]]
 
     @property
     def header(self) -> RunHeader:
@@ -152,11 +153,11 @@ class Elsewhere(Loop):
 class OnAnotherPython(Elsewhere):
     """As headers were before they named the arithmetic."""
 
-    made_with = {"architecture": f"{platform.machine()} python 3.9", "arithmetic": None}
+    made_with: ClassVar = {"architecture": f"{platform.machine()} python 3.9", "arithmetic": None}
 
 
 class OnAnotherProcessor(Elsewhere):
-    made_with = {"arithmetic": f"{arithmetic()[:-8]}01234567"}
+    made_with: ClassVar = {"arithmetic": f"{arithmetic()[:-8]}01234567"}
 
 
 @pytest.mark.parametrize(

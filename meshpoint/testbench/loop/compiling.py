@@ -153,11 +153,13 @@ def _ship(path: Path) -> None:
     from meshpoint.testbench.loop.compiled_mark import CompiledMark
 
     folder = KernelFolder(path)
-    WATCH.taken = folder.write
+    WATCH.taken = lambda kernel, signature, content: folder.write(
+        kernel.portable(signature), content
+    )
     warm_up(baselines=True)
     _load_rig(thesis=True)
     for kernels in (RIG, THESIS):
-        CompiledMark(kernels).put_into(folder)
+        CompiledMark(kernels).ship(folder)
 
 
 def _tell_lines() -> None:
