@@ -88,8 +88,7 @@ class KernelCache(FunctionCache):
         path = function.__module__.removeprefix("meshpoint.")
         self._py_func = function
         self._options = kernel.targetoptions
-        self._package = path.split(".")[0]
-        self._title = f"{path}.{function.__name__}"
+        self.title = f"{path}.{function.__name__}"
         self._impl = _Result(function)
         self._folders = folders
         self._name, self._cache_path = repr(function), str(folders[0].path)
@@ -108,7 +107,7 @@ class KernelCache(FunctionCache):
         entry = self._entry(sig)
         content = (shipped(self.portable(sig)) if takes_shipped() else None) or self._kept(entry)
         if content is None:
-            WATCH.compiling(self._package)
+            WATCH.compiling(self.title)
             return None
         WATCH.taken(self, sig, content)
         # Ours: neither the wheel nor KernelFolder holds what another user could have written.
@@ -167,7 +166,7 @@ class KernelCache(FunctionCache):
 
     def _file(self, digest: str, sig: Any, machine: tuple[Any, ...]) -> str:
         about = (digest, repr(sig), sorted(self._options.items()), machine)
-        return f"{self._title}-{hashlib.sha256(repr(about).encode()).hexdigest()[:24]}{ENTRY}"
+        return f"{self.title}-{hashlib.sha256(repr(about).encode()).hexdigest()[:24]}{ENTRY}"
 
 
 def _refusal(folder: KernelFolder, error: OSError) -> str:

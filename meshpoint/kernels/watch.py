@@ -19,8 +19,9 @@ class CacheWatch:
 
     say: Callable[[str], None] = staticmethod(_say)
     """A line for people: kernels are kept elsewhere than usual, or are damaged."""
-    compiling: Callable[[str], None] = staticmethod(lambda _package: None)
-    """A kernel of this package is about to be compiled, which takes a second or many."""
+    compiling: Callable[[str], None] = staticmethod(lambda _title: None)
+    """A kernel of this title, as `rig_sim.truck.kernels.advance`, is about to be compiled, which
+    takes a second or many."""
 
     taken: Callable[[Any, Any, bytes], None] = staticmethod(
         lambda _kernel, _signature, _content: None

@@ -180,6 +180,7 @@ def test_pieces_of_pieces_are_whole_in_a_kernel_and_in_what_is_kept_of_it(
     """Machine code is made of the kernel alone, and the kernel is loaded without its pieces: two
     signatures of a piece, one that another piece calls as well."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
 
     def twice(x: float) -> float:
         return x + x

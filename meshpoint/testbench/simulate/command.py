@@ -27,6 +27,7 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
+from meshpoint.testbench.loop.compiling import prepare_once
 from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import Apart, Result, simulate
 from meshpoint.testbench.report.collect import ReportCollector
@@ -187,6 +188,7 @@ def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
     sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
+    prepare_once(thesis=preset is Preset.THESIS)
     unwritten: list[str] = []
     setup = _setup(namespace, sheet, preset, calibration)
     apart = _apart(namespace, setup)
