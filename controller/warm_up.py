@@ -53,7 +53,7 @@ def warm_up(baselines: bool = False) -> None:
 
 
 def warm_up_sensing() -> None:
-    """Those of sensing, sleeves and planning: about as long as the others."""
+    """Those of sensing, sleeves and planning: some third of the work."""
     with uncollected():
         edge_kernels.warm_up()
         edge_gate.warm_up()

@@ -61,7 +61,7 @@ class _Digest:
     """What goes into one."""
 
     def __init__(self, by_source: tuple[str, ...] = ()) -> None:
-        """by_source: packages whose functions are told by their files."""
+        """by_source: packages whose functions are known by their files."""
         self._by_source = frozenset(by_source)
         self._hashed = hashlib.sha256()
         self._seen: set[types.FunctionType] = set()

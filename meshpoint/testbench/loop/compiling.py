@@ -22,8 +22,8 @@ from meshpoint.kernels.watch import WATCH
 SAID, BEGUN, TAKEN = "! ", "+ ", "= "
 """Begin a line of a part's process: a message, a kernel that it compiles, one that it has."""
 SENSING, ESTIMATION, RIG, THESIS = "sensing", "estimation", "rig", "thesis"
-"""Parts of the kernels that are compiled beside each other, some ten seconds of work each and the
-last two; `thesis` is the rig of that preset."""
+"""Parts of the kernels that are compiled beside each other: 17, 28 and 18 s of processor time, and
+a few; `thesis` is the rig of that preset."""
 KERNELS: Final = {SENSING: 10, ESTIMATION: 22, RIG: 9, THESIS: 10}
 """How many each has; `angle_kernels`, which both rigs have, once."""
 SHIP: Final = "ship"
@@ -33,9 +33,7 @@ EVERY_S: Final = 5.0
 BAR: Final = 20
 WIDTH: Final = 79
 
-FIRST_LINE: Final = (
-    "compiling kernels, once on this machine: half a minute on two idle cores, else longer"
-)
+FIRST_LINE: Final = "compiling kernels, once on this machine: a minute's work, on up to three cores"
 
 
 class Progress:
