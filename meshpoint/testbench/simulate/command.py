@@ -188,12 +188,12 @@ def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
     sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
-    prepare_once(thesis=preset is Preset.THESIS)
     unwritten: list[str] = []
     setup = _setup(namespace, sheet, preset, calibration)
     apart = _apart(namespace, setup)
     out = console(namespace.json)
     check_report(namespace.report)
+    prepare_once(thesis=preset is Preset.THESIS)  # after all that may be wrong
     collector = None
     if namespace.report is not None:
         collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings)
