@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -51,9 +51,13 @@ devices: $(VENV)/test.stamp
 installed: $(VENV)/test.stamp
 	PYTHON=$(PYTHON) tools/test-installed
 
+# The wheel in each Python that it is for, as far as this machine has them.
+pythons: wheel
+	PYTHON=$(PYTHON) tools/test-pythons dist/*.whl
+
 # The wheel, with compiled kernels (docs/ci.md), in dist/.
 wheel: $(VENV)/test.stamp
-	rm -rf build/lib
+	rm -rf build/lib dist/*.whl
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
 # Real processes through the commands alone; some minutes.

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from meshpoint.controller.arithmetic import arithmetic
 from meshpoint.controller.calibration.learned import Calibration, read_calibration
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
@@ -47,6 +48,8 @@ class RunHeader:
     """Whether valves, clutch and engine may be commanded; False: the controller only listens."""
     xcp: XcpAccess = XcpAccess.OFF
     """What an XCP master may do. Its changes of the settings are frames, and not in here."""
+    arithmetic: str | None = None
+    """What rounding depends on (`controller/arithmetic.py`); None: written before it was kept."""
 
     def canonical(self) -> str:
         """One line of JSON with sorted keys; what is hashed and saved."""
@@ -66,6 +69,8 @@ class RunHeader:
             fields["armed"] = False
         if self.xcp is not XcpAccess.OFF:
             fields["xcp"] = self.xcp.name.lower()
+        if self.arithmetic is not None:
+            fields["arithmetic"] = self.arithmetic
         return json.dumps(fields, sort_keys=True, separators=(",", ":"))
 
     @property
@@ -73,6 +78,22 @@ class RunHeader:
         """First eight bytes of the SHA-256, low byte first: the status frame's RunHash."""
         digest = hashlib.sha256(self.canonical().encode()).digest()
         return int.from_bytes(digest[:8], "little")
+
+    @property
+    def rounds_otherwise(self) -> str:
+        """How floating point here may give another last bit than where the run was made; empty
+        where nothing known differs. An old header names Python's minor version beside the machine,
+        which decides nothing, and not its arithmetic."""
+        there = [f"architecture {self.architecture.split(' ')[0]}"]
+        here = [f"architecture {platform.machine()}"]
+        if self.arithmetic is not None:
+            there += self.arithmetic.split(", ")
+            here += arithmetic().split(", ")
+        theirs, ours = (
+            ", ".join(part for part in mine if part not in others)
+            for mine, others in ((there, here), (here, there))
+        )
+        return f"recorded with {theirs}, this is {ours}" if theirs or ours else ""
 
     def save(self, folder: Path) -> Path:
         """Writes the header into `folder` under the name that `load_header` looks for.
@@ -93,13 +114,10 @@ def new_header(
     xcp: XcpAccess = XcpAccess.OFF,
 ) -> RunHeader:
     """The header of a controller that starts here and now."""
-    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings, calibration, armed, xcp)
-
-
-def architecture() -> str:
-    """What floating point may depend on: machine and Python's minor version."""
-    major, minor, _ = platform.python_version_tuple()
-    return f"{platform.machine()} python {major}.{minor}"
+    return RunHeader(
+        version, platform.machine(), DBC_SHA256, sheet, settings, calibration, armed, xcp,
+        arithmetic(),
+    )  # fmt: skip
 
 
 def run_hash_of(status: ControllerStatus) -> int:
@@ -138,8 +156,10 @@ def _from_values(values: dict[str, Any]) -> RunHeader:
     version, machine, dbc_sha256 = (
         values[name] for name in ("version", "architecture", "dbc_sha256")
     )
-    if not all(isinstance(text, str) for text in (version, machine, dbc_sha256, calibration or "")):
-        raise TableError("version, architecture, dbc_sha256 and calibration are texts")
+    computed = values.get("arithmetic")
+    texts = (version, machine, dbc_sha256, calibration or "", computed or "")
+    if not all(isinstance(text, str) for text in texts):
+        raise TableError("version, architecture, dbc_sha256, calibration and arithmetic are texts")
     return RunHeader(
         version,
         machine,
@@ -149,6 +169,7 @@ def _from_values(values: dict[str, Any]) -> RunHeader:
         None if calibration is None else read_calibration(calibration, "calibration", sheet),
         values.get("armed", True),
         XcpAccess[values.get("xcp", XcpAccess.OFF.name).upper()],
+        computed,
     )
 
 

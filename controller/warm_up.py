@@ -46,13 +46,24 @@ from meshpoint.kernels.watch import uncollected
 
 
 def warm_up(baselines: bool = False) -> None:
-    """Calls each kernel that a controller uses, once, on a standing shaft: some ten seconds with a
+    """Calls each kernel that a controller uses, once, on a standing shaft: half a minute with a
     cold cache, else milliseconds. baselines: those of the estimators `thesis` and `window` too."""
+    warm_up_sensing()
+    warm_up_estimation(baselines)
+
+
+def warm_up_sensing() -> None:
+    """Those of sensing, sleeves and planning: some third of the work."""
     with uncollected():
         edge_kernels.warm_up()
         edge_gate.warm_up()
         plan_kernels.warm_up()
         cylinder.warm_up()
+
+
+def warm_up_estimation(baselines: bool = False) -> None:
+    """The others."""
+    with uncollected():
         _warm_up_crossing()
         _warm_up_swing()
         if baselines:

@@ -3,18 +3,35 @@ computed, not how fast a busy machine computes it.
 
 Look for new examples with `pytest --hypothesis-profile=explore`.
 
+And what lies on this machine changes nothing: no settings of this user, no local bus of other runs.
+Compiled kernels alone are shared, whose names say what is in them.
+
 Makes `patience` importable, by which live tests wait.
 """
 
+import atexit
 import gc
+import os
+import shutil
 import signal
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from meshpoint.bus.light_can import load_can
+from meshpoint.kernels.folder import user_cache
+
+OF_THIS_USER = ("CAN_", "COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "MESHPOINT_SINCE")
+"""Beginnings of variables by which a shell changes what commands do or how they say it."""
+for variable in [name for name in os.environ if name.startswith(OF_THIS_USER)]:
+    del os.environ[variable]
+own = tempfile.mkdtemp(prefix="mp-")  # short: a socket's path has a hundred characters
+atexit.register(shutil.rmtree, own, ignore_errors=True)
+os.environ.setdefault("XDG_CACHE_HOME", str(user_cache()))
+os.environ |= {"HOME": own, "XDG_CONFIG_HOME": own, "XDG_RUNTIME_DIR": own}
 
 load_can()  # as every command does, before a test file loads python-can with all that it can use
 

@@ -119,7 +119,7 @@ class Search:
 
     def _deviance(self, logs: Sequence[float]) -> float:
         """With what was known before."""
-        off = sum(
+        off = math.fsum(
             ((log - one.log) / one.sd) ** 2 for log, one in zip(logs, self._grown, strict=True)
         )
         found = self._of(logs) + off

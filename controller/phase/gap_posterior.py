@@ -81,7 +81,7 @@ def log_densities(pitch_rad: float, backlash_rad: float) -> dict[tuple[int, int]
 
 
 def _density(phase: float, sd: float, b: float, pitch_rad: float, upper: float) -> float:
-    flanks = sum(
+    flanks = math.fsum(
         share * math.exp(-0.5 * ((phase - side * b / 2.0) / sd) ** 2)
         for side, share in ((-1.0, 1.0 - upper), (1.0, upper))
     ) / (sd * math.sqrt(2.0 * math.pi))

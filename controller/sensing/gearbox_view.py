@@ -52,7 +52,7 @@ class SleeveTrack(NamedTuple):
     def mean_m(self, before: int) -> float:
         """Mean of the newest `MEAN_SAMPLES` (0), or of those that came before (1, 2, ...)."""
         first = before * MEAN_SAMPLES
-        return sum(self.samples_m[first : first + MEAN_SAMPLES]) / MEAN_SAMPLES
+        return math.fsum(self.samples_m[first : first + MEAN_SAMPLES]) / MEAN_SAMPLES
 
     @property
     def outward_m_s(self) -> float:

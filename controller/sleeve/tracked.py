@@ -156,7 +156,7 @@ class TrackedSleeve(DrivenSleeve):
     def _rest(self, track: SleeveTrack) -> None:
         """It rests: where, by its newest samples; its chambers may vent for some time yet."""
         newest = track.samples_m[:REST_SAMPLES]
-        self.rest_m = sum(newest) / len(newest)
+        self.rest_m = math.fsum(newest) / len(newest)
         state = self.law.at_rest(self.place_of(self.rest_m))
         if not self.start.is_rest:
             pressures = self.at(track.newest_us).state[2:4]

@@ -19,9 +19,10 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, RigSettings
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Preset, RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.bench_builder import virtual_bench
+from meshpoint.testbench.loop.compiling import prepare_once
 from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 from meshpoint.testbench.results.output import folder_for
@@ -77,6 +78,7 @@ class Bench(Watching):
     ) -> None:
         chosen = load_settings(settings, strategy=strategy, estimator=estimator)
         setup = setup_of(gearbox, preset, seed, as_built, faults, chosen)
+        prepare_once(thesis=setup.preset is Preset.THESIS)
         super().__init__(setup, gear)
         header = setup.header
         self.as_built: dict[str, Any] | None = None

@@ -34,6 +34,7 @@ from meshpoint.testbench.campaign.runner import run_all, workplace
 from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.testbench.loop.compiling import prepare_once
 from meshpoint.testbench.loop.schedules import Pairs, check_preset
 from meshpoint.testbench.loop.simulate import Result
 from meshpoint.testbench.loop.simulate import simulate as run_simulation
@@ -100,6 +101,7 @@ def simulate(
     chosen = load_settings(settings, strategy=strategy, estimator=estimator)
     setup = setup_of(gearbox, preset, seed, as_built, faults, chosen, shifts, pairs)
     check_preset(setup.pairs, setup.sheet, setup.preset)
+    prepare_once(thesis=setup.preset is Preset.THESIS)
     with ExitStack() as stack:
         writer = None
         if log is not None:

@@ -47,6 +47,11 @@ class UnusableEntryError(Exception):
     """A file is there and not taken; the text says what it is, as in "they are ..."."""
 
 
+def has_shipped() -> bool:
+    """Whether a wheel brought kernels."""
+    return SHIPPED.is_dir()
+
+
 def shipped(name: str) -> bytes | None:
     """What the wheel brought under this name; None where it brought nothing, or not the whole. No
     owner is asked for: who could write the file could write the code beside it."""

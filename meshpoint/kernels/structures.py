@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import copy
 import ctypes
+import inspect
 from collections.abc import Iterator, Sequence
 from typing import (
     TYPE_CHECKING,
@@ -33,7 +34,6 @@ from typing import (
     cast,
     get_args,
     get_origin,
-    get_type_hints,
     overload,
 )
 
@@ -79,12 +79,13 @@ class _Declared(type(ctypes.Structure)):  # type: ignore[misc]
     an error, not a new attribute."""
 
     def __new__(cls, name: str, bases: tuple[type, ...], names: dict[str, Any]) -> Any:
-        names.setdefault("__slots__", ())
-        kind = super().__new__(cls, name, bases, names)
-        hints = get_type_hints(kind, include_extras=True)
-        own = names.get("__annotations__", {})
-        kind._fields_ = [(field, _stored(hints[field])) for field in own]
-        return kind
+        return super().__new__(cls, name, bases, {"__slots__": (), **names})
+
+    def __init__(cls, *given: Any) -> None:
+        # Not in __new__: from Python 3.13 on a structure takes fields once it is initialised.
+        super().__init__(*given)
+        hints = inspect.get_annotations(cls, eval_str=True)
+        cls._fields_ = [(field, _stored(hint)) for field, hint in hints.items()]
 
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final
 
 
 def _say(line: str) -> None:
@@ -19,11 +19,15 @@ class CacheWatch:
 
     say: Callable[[str], None] = staticmethod(_say)
     """A line for people: kernels are kept elsewhere than usual, or are damaged."""
-    compiling: Callable[[str], None] = staticmethod(lambda _package: None)
-    """A kernel of this package is about to be compiled, which takes a second or many."""
+    compiling: Callable[[str], None] = staticmethod(lambda _title: None)
+    """A kernel of this title, as `rig_sim.truck.kernels.advance`, is about to be compiled, which
+    takes a second or many."""
 
-    taken: Callable[[str, bytes], None] = staticmethod(lambda _name, _content: None)
-    """The file of a kernel that is in use from here on, whether it was compiled before or now."""
+    taken: Callable[[Any, Any, bytes], None] = staticmethod(
+        lambda _kernel, _signature, _content: None
+    )
+    """A kernel that is in use from here on, whether it was compiled before or now: its
+    `KernelCache`, signature and what a file of it holds."""
 
     def __init__(self) -> None:
         self._said: set[str] = set()

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import platform
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from loop_bench import Loop
 
+from meshpoint.controller.arithmetic import arithmetic
 from meshpoint.controller.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -135,6 +138,51 @@ def test_an_intruder_in_place_of_its_own_frame_is_a_difference(
     session = verify(one_shift, [*log[:at], other, *log[at + 1 :]], tmp_path)
     assert session.verdict is Verification.DIFFERS
     assert f"{can_id:08X}" in session.reason
+
+
+class Elsewhere(Loop):
+    """A loop whose controller says that it ran somewhere else."""
+
+    made_with: ClassVar[dict[str, str | None]]
+
+    @property
+    def header(self) -> RunHeader:
+        return dataclasses.replace(super().header, **self.made_with)
+
+
+class OnAnotherPython(Elsewhere):
+    """As headers were before they named the arithmetic."""
+
+    made_with: ClassVar = {"architecture": f"{platform.machine()} python 3.9", "arithmetic": None}
+
+
+class OnAnotherProcessor(Elsewhere):
+    made_with: ClassVar = {"arithmetic": f"{arithmetic()[:-8]}01234567"}
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "verdict"),
+    [
+        (OnAnotherPython, Verification.DIFFERS),
+        (OnAnotherProcessor, Verification.NOT_VERIFIABLE),
+    ],
+)
+def test_the_same_bytes_are_identical_wherever_they_were_made(
+    elsewhere: type[Elsewhere], verdict: Verification, tmp_path: Path
+) -> None:
+    """Others may come of rounding where that is another; of Python's minor version they never do,
+    so there it is the controller."""
+    loop = elsewhere([])
+    loop.run(200_000)
+    frames = [frame for _, frame in loop.frames]
+    assert verify(loop, frames, tmp_path).verdict is Verification.IDENTICAL
+    can_id = CODECS["ETC1"].spec.can_id
+    at = [i for i, frame in enumerate(frames) if frame.can_id == can_id][9]
+    frames[at] = frames[at]._replace(data=bytes(8))
+    session = verify(loop, frames, tmp_path)
+    assert session.verdict is verdict
+    assert f"{can_id:08X}" in session.reason
+    assert ("rounding 01234567" in session.reason) is (verdict is Verification.NOT_VERIFIABLE)
 
 
 @pytest.mark.parametrize("name", ["EdgesMainFall", "ValveCommand", "ControllerStatus"])

@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import platform
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from meshpoint.controller.header import HeaderError, RunHeader, header_name, load_header
@@ -42,7 +44,8 @@ def test_the_run_hash_is_the_start_of_the_sha256_of_the_file(
     "other",
     [
         {"version": "1.2.4"},
-        {"architecture": "pdp11 python 3.11"},
+        {"architecture": "pdp11"},
+        {"arithmetic": "numpy 1.0"},
         {"dbc_sha256": "0" * 64},
         {"settings": ControllerSettings(aim=Aim(1e-9))},
         {"armed": False},
@@ -58,6 +61,35 @@ def test_an_armed_run_is_not_mentioned(header: RunHeader) -> None:
     """So that runs from before the switch keep their hash."""
     assert "armed" not in json.loads(header.canonical())
     assert json.loads(dataclasses.replace(header, armed=False).canonical())["armed"] is False
+
+
+def test_python_is_no_part_of_a_run(header: RunHeader) -> None:
+    """Its minor version decides no byte, so the same run has the same hash in all of them."""
+    assert header.architecture == platform.machine()
+    assert "ython" not in header.canonical()
+
+
+def test_a_header_from_before_arithmetic_was_kept_comes_back_with_its_hash(
+    header: RunHeader, tmp_path: Path
+) -> None:
+    machine = f"{platform.machine()} python 3.12"
+    old = dataclasses.replace(header, architecture=machine, arithmetic=None)
+    old.save(tmp_path)
+    assert "arithmetic" not in json.loads(old.canonical())
+    assert load_header(tmp_path, old.run_hash) == old
+    assert old.rounds_otherwise == ""
+
+
+def test_what_may_round_otherwise_is_named_and_nothing_else(header: RunHeader) -> None:
+    assert header.rounds_otherwise == ""
+    assert header.arithmetic is not None
+    here = f"numpy {np.__version__}"
+    assert here in header.arithmetic
+    there = header.arithmetic.replace(here, "numpy 1.0")
+    other = dataclasses.replace(header, arithmetic=there)
+    assert other.rounds_otherwise == f"recorded with numpy 1.0, this is {here}"
+    other = dataclasses.replace(header, architecture="pdp11 python 3.11", arithmetic=None)
+    assert "architecture pdp11, this is architecture" in other.rounds_otherwise
 
 
 def test_another_tooth_changes_the_hash(header: RunHeader) -> None:
@@ -140,6 +172,7 @@ def with_name(folder: Path, values: dict[str, object]) -> int:
         ("calibration", 7),
         ("calibration", "a = 1"),
         ("version", ["1"]),
+        ("arithmetic", 7),
     ],
 )
 def test_a_value_out_of_its_range_is_refused_by_key(

@@ -134,10 +134,10 @@ def test_a_folder_is_no_file(reader: str, tmp_path: Path) -> None:
 def test_toml_made_to_take_long_takes_no_time(content: str, tmp_path: Path) -> None:
     path = tmp_path / "slow.toml"
     path.write_text(content)
-    begin_s = time.monotonic()
+    begin_s = time.process_time()  # however long the machine does something else
     with pytest.raises(TableError, match=r"slow\.toml"):
         load_settings(path)
-    assert time.monotonic() - begin_s < AT_ONCE_S
+    assert time.process_time() - begin_s < AT_ONCE_S
 
 
 def test_a_dotted_key_of_usual_length_and_a_text_with_dots_are_read(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import ctypes
-from typing import Annotated
+from typing import Annotated, Any
 
 import pytest
 
@@ -68,6 +68,25 @@ def test_a_copy_is_one_memory_again_and_leaves_the_other_alone(times: int) -> No
     assert copied["wheel"].teeth == 1
     assert memory.record.turning.torque_nm == 0.0
     assert held["wheel"].teeth == 0
+
+
+def test_a_class_is_asked_for_what_it_declares_not_the_body_that_it_was_made_of() -> None:
+    """Python 3.14 keeps annotations out of the body's names (PEP 649); the class has them."""
+
+    class Later(type(Record)):  # type: ignore[misc]
+        def __new__(cls, name: str, bases: tuple[type, ...], names: dict[str, Any]) -> Any:
+            declared = names.pop("__annotations__")
+            kind = super().__new__(cls, name, bases, names)
+            kind.__annotations__ = declared
+            return kind
+
+    class Sprung(Record, metaclass=Later):
+        stiffness_nm_rad: float
+        wheel: Wheel
+
+    assert Sprung(2.5).stiffness_nm_rad == 2.5
+    assert dtype_of(Sprung).names == ("stiffness_nm_rad", "wheel")
+    assert Sprung().wheel.teeth == 0
 
 
 @pytest.mark.parametrize("name", ["speed", "torque", "__dict__"])

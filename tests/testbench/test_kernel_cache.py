@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import subprocess
 import sys
 import types
@@ -20,6 +21,7 @@ from meshpoint.kernels.folder import KernelFolder
 from meshpoint.kernels.pieces import piece_of_kernels
 from meshpoint.kernels.watch import CacheWatch
 
+ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
 
 
@@ -94,7 +96,10 @@ def test_a_flipped_bit_is_found_before_the_code_is_run(tmp_path: Path, said: lis
 def in_a_wheel(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """What `ship` puts beside the code, of the kernel `doubled`; it is found there from now on."""
     watch = CacheWatch()
-    watch.taken = KernelFolder(folder).write
+    wheel = KernelFolder(folder)
+    watch.taken = lambda kernel, signature, content: wheel.write(
+        kernel.portable(signature), content
+    )
     monkeypatch.setattr(kernel_cache, "WATCH", watch)
     doubled(folder.parent / "builder")(2.0)
     monkeypatch.setattr(kernel_folder, "SHIPPED", folder)
@@ -108,6 +113,16 @@ def test_what_came_with_the_wheel_is_taken_and_nothing_is_compiled_or_written(
     kernel = doubled(tmp_path / "own")
     assert kernel(2.0) == 4.0
     assert hits(kernel) == 1 and said == [] and not (tmp_path / "own").exists()
+
+
+def test_a_python_that_has_not_been_seen_to_run_them_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_a_wheel(tmp_path / "wheel", monkeypatch)
+    monkeypatch.setattr(kernel_cache, "SERVED", ((3, 10),))
+    kernel = doubled(tmp_path / "own")
+    assert kernel(2.0) == 4.0
+    assert hits(kernel) == 0
 
 
 def test_a_damaged_kernel_of_the_wheel_is_compiled_and_kept_by_the_user(
@@ -165,6 +180,7 @@ def test_pieces_of_pieces_are_whole_in_a_kernel_and_in_what_is_kept_of_it(
     """Machine code is made of the kernel alone, and the kernel is loaded without its pieces: two
     signatures of a piece, one that another piece calls as well."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
 
     def twice(x: float) -> float:
         return x + x
@@ -261,6 +277,34 @@ def test_every_change_behind_a_kernel_is_another_entry(before: str, after: str) 
 
 def test_what_a_kernel_does_not_use_is_no_other_entry() -> None:
     assert digest(SOURCE) == digest("# moved\n\n" + SOURCE + "\nOTHER = 3\n")
+
+
+BY_SOURCE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
+from meshpoint.kernels.digest import digest_by_source
+print(digest_by_source(wrapped), digest_by_source(settled))
+"""
+
+
+def test_a_wheels_kernel_is_one_of_its_source_whatever_python_makes_of_it(tmp_path: Path) -> None:
+    """The compiler's bytecode is another in each Python, and with -OO: no docstrings."""
+    copy = tmp_path / "meshpoint"
+    for part in ("meshpoint", "rig_sim"):
+        shutil.copytree(ROOT / part, copy if part == "meshpoint" else copy / part,
+                        ignore=shutil.ignore_patterns("__pycache__", "testbench"))  # fmt: skip
+
+    def digests(*options: str) -> list[str]:
+        command = [sys.executable, *options, "-P", "-c", BY_SOURCE, str(tmp_path)]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+
+    before = digests()
+    assert len(set(before)) == 2
+    assert digests("-OO") == before
+    with (copy / "rig_sim" / "shared" / "sensor_clock.py").open("a", encoding="utf-8") as file:
+        file.write("# another source\n")
+    assert not set(digests()) & set(before)
 
 
 def test_what_cannot_be_followed_is_refused() -> None:

@@ -59,7 +59,7 @@ def test_a_second_copy_of_meshpoint_compiles_nothing(tmp_path: Path) -> None:
         shutil.copytree(ROOT / "meshpoint", copy, ignore=left_out)
         shutil.copytree(ROOT / "rig_sim", copy / "rig_sim", ignore=left_out)
         environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-        environment |= {"PYTHONPATH": str(copy.parent)}
+        environment |= {"PYTHONPATH": str(copy.parent), "TMPDIR": str(tmp_path)}
         environment.pop("NUMBA_CACHE_DIR", None)
         done = subprocess.run(
             [sys.executable, "-P", "-c", ONE_KERNEL],

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
 import sys
 import time
 
 import pytest
 
 from meshpoint.bus.slowness import times_slower
-from meshpoint.testbench.loop.compiling import Progress
+from meshpoint.testbench.loop.compiling import FIRST_LINE, KERNELS, Progress, why_compiled
 from meshpoint.testbench.loop.node_patience import (
     NODE_QUIET_US,
     SHIFT_SILENCE_US,
@@ -94,15 +95,58 @@ def test_a_limit_that_runs_out_says_which_side_and_what_to_do() -> None:
 
 def test_compiling_is_shown_and_nothing_without_it() -> None:
     out = io.StringIO()
-    progress = Progress(out)
+    progress = Progress(out, total=4)
+    progress.take("rig_sim.parts.cylinder.run_ahead")
     progress.close()
     assert out.getvalue() == ""
-    progress.count("rig_sim")
-    progress.count("controller")
+    progress.count("rig_sim.truck.kernels.advance")
+    progress.count("controller.sensing.gate_kernels.gate_edges")
+    progress.take("controller.sensing.gate_kernels.gate_edges")
+    progress.take("controller.sensing.gate_kernels.gate_edges")  # by another process too
     progress.close()
     lines = out.getvalue().splitlines()
     assert lines[0].startswith("compiling kernels, once on this machine")
     assert "about ten seconds" not in lines[0], "beside other work it takes several times that"
-    assert max(map(len, lines)) < 80
-    assert "controller 1, rig_sim 1" in lines[-1] and lines[-1].endswith("done")
+    assert lines[-1].startswith("compiling kernels [##########..........] 2 of 4, ")
+    assert lines[-1].endswith(" s, done")
     assert progress.compiled == 2
+
+
+def test_on_a_terminal_it_is_shown_what_is_compiled_now_in_one_line() -> None:
+    out = io.StringIO()
+    progress = Progress(out, rewrites=True, total=3)
+    for number in range(9):
+        progress.count(f"rig_sim.truck.kernels.advance_{number}")
+    shown = out.getvalue().split("\r\033[K")
+    assert shown[2].endswith(" s: advance_0, advance_1")
+    assert all(len(line) < 80 and "\n" not in line for line in shown[2:])
+
+
+@pytest.mark.parametrize(
+    ("came", "served", "said"),
+    [
+        (False, ((3, 11),), ""),
+        (True, ((3, 9), (3, 10)), "are for Python 3.9 to 3.10"),
+        (True, (sys.version_info[:2],), "python -m meshpoint.constraints"),
+    ],
+)
+def test_it_is_said_why_the_wheels_kernels_do_not_serve(
+    came: bool, served: tuple[tuple[int, int], ...], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("meshpoint.kernels.folder.has_shipped", lambda: came)
+    monkeypatch.setattr("meshpoint.kernels.cache.has_shipped", lambda: came)
+    monkeypatch.setattr("meshpoint.kernels.cache.SERVED", served)
+    assert said in why_compiled() and bool(said) == bool(why_compiled())
+    assert max(map(len, (FIRST_LINE + why_compiled()).splitlines())) < 100
+
+
+def test_as_many_kernels_are_counted_as_there_are() -> None:
+    """Those that keep what is compiled of them; the bar ends where it should."""
+    script = """
+import gc
+from meshpoint.kernels.cache import KernelCache
+import meshpoint.controller.warm_up, meshpoint.rig_sim.presets
+print(sum(isinstance(each, KernelCache) for each in gc.get_objects()))
+"""
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert int(found.stdout) == sum(KERNELS.values()), found.stderr

@@ -149,8 +149,7 @@ class ClassicReplay:
 
     def _end(self, verdict: Verification, reason: str) -> None:
         session = self.sessions[-1]
-        session.verdict, session.reason = verdict, reason
-        session.step = max(0, session.steps - (verdict is Verification.DIFFERS))
+        session.end(verdict, max(0, session.steps - (verdict is Verification.DIFFERS)), reason)
         self._core = None
 
     def _hear(self, status: ControllerStatus) -> None:

@@ -22,7 +22,6 @@ from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import (
     HeaderError,
     RunHeader,
-    architecture,
     load_header,
     run_hash_of,
 )
@@ -213,8 +212,7 @@ class LogReplay:
             self._intruders.clear()
 
     def _end(self, verdict: Verification, number: int, reason: str) -> None:
-        session = self.sessions[-1]
-        session.verdict, session.step, session.reason = verdict, number, reason
+        self.sessions[-1].end(verdict, number, reason)
         self._core = None
         if self._onlooker is not None:
             self._onlooker.end()
@@ -362,9 +360,9 @@ def _without_unprotected_intruders(
 
 
 def _check_same_product(header: RunHeader) -> None:
-    here = (product_version(), architecture(), DBC_SHA256)
-    there = (header.version, header.architecture, header.dbc_sha256)
-    for what, mine, logged in zip(("version", "architecture", "DBC"), here, there, strict=True):
+    here = (product_version(), DBC_SHA256)
+    there = (header.version, header.dbc_sha256)
+    for what, mine, logged in zip(("version", "DBC"), here, there, strict=True):
         if mine != logged:
             raise NotVerifiableError(f"recorded with {what} {logged}, this is {mine}")
 

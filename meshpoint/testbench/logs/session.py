@@ -55,6 +55,15 @@ class Session:
     unlogged: int = 0
     """Steps that the controller has made after the log's end, where a record shows them."""
 
+    def end(self, verdict: Verification, step: int, reason: str) -> None:
+        """Goes no further than this step. A difference where floating point may round otherwise
+        shows nothing of the code."""
+        otherwise = self.header.rounds_otherwise if self.header is not None else ""
+        if verdict is Verification.DIFFERS and otherwise:
+            verdict = Verification.NOT_VERIFIABLE
+            reason = f"{reason}; {otherwise}, which may round otherwise"
+        self.verdict, self.step, self.reason = verdict, step, reason
+
     @property
     def goes_on(self) -> bool:
         """Whether all that was compared so far is identical."""

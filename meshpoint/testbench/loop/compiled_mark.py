@@ -8,13 +8,12 @@ are missing or damaged in spite of it, the cache compiles them at their first ca
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
-from typing import Final
+from typing import Any
 
-from meshpoint import rig_sim, units
-from meshpoint.kernels.cache import machine
+from meshpoint import rig_sim
+from meshpoint.kernels.cache import ABI, MACHINE_CODE, machine, takes_shipped
+from meshpoint.kernels.digest import sources_of
 from meshpoint.kernels.folder import (
     MARK,
     KernelFolder,
@@ -23,25 +22,22 @@ from meshpoint.kernels.folder import (
     shipped,
 )
 
-SHARED: Final = ("units.py", "kernels", "gearbox")
-"""What the rig's kernels use of the product beside its own source."""
-
 
 class CompiledMark:
     """One for each set of kernels."""
 
     def __init__(self, kernels: str) -> None:
         """kernels: the name of the set."""
-        self._name = f"{kernels}-{_digest(Path(rig_sim.__file__).parent)}{MARK}"
+        self._kernels = kernels
         self._folders = kernel_folders()
 
     def is_there(self) -> bool:
         """Whether they were compiled before, or came with the wheel."""
-        if shipped(self._name) is not None:
+        if takes_shipped() and shipped(self._name(ABI)) is not None:
             return True
         for folder in self._folders:
             with suppress(OSError, UnusableEntryError):
-                if folder.read(self._name) is not None:
+                if folder.read(self._name(MACHINE_CODE)) is not None:
                     return True
         return False
 
@@ -50,23 +46,13 @@ class CompiledMark:
         next start."""
         for folder in self._folders:
             with suppress(OSError):
-                self.put_into(folder)
+                folder.write(self._name(MACHINE_CODE), b"")
                 return
 
-    def put_into(self, folder: KernelFolder) -> None:
-        """They are in this folder. OSError where it cannot be written."""
-        folder.write(self._name, b"")
+    def ship(self, folder: KernelFolder) -> None:
+        """They are in this folder of a wheel. OSError where it cannot be written."""
+        folder.write(self._name(ABI), b"")
 
-
-def _digest(package: Path) -> str:
-    hashed = hashlib.sha256(repr(machine()).encode())
-    for path in sorted(_sources(package)):
-        hashed.update(path.name.encode() + path.read_bytes())
-    return hashed.hexdigest()[:24]
-
-
-def _sources(package: Path) -> Iterator[Path]:
-    yield from package.rglob("*.py")
-    for name in SHARED:
-        path = Path(units.__file__).parent / name
-        yield from path.rglob("*.py") if path.is_dir() else (path,)
+    def _name(self, code: tuple[Any, ...]) -> str:
+        about = repr((machine(code), sources_of(rig_sim.__name__)))
+        return f"{self._kernels}-{hashlib.sha256(about.encode()).hexdigest()[:24]}{MARK}"

@@ -27,6 +27,7 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
+from meshpoint.testbench.loop.compiling import prepare_once
 from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import Apart, Result, simulate
 from meshpoint.testbench.report.collect import ReportCollector
@@ -192,6 +193,7 @@ def run(namespace: argparse.Namespace) -> int:
     apart = _apart(namespace, setup)
     out = console(namespace.json)
     check_report(namespace.report)
+    prepare_once(thesis=preset is Preset.THESIS)  # after all that may be wrong
     collector = None
     if namespace.report is not None:
         collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings)
