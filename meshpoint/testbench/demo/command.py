@@ -31,7 +31,7 @@ from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.live import LiveResult, LiveRun, run_live, uses_virtual
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.provenance import provenance
-from meshpoint.testbench.report.comparison import compare, comparison_table, explain
+from meshpoint.testbench.report.comparison import compare, comparison_table, explain, verdict
 from meshpoint.testbench.report.plot import plot_shift
 from meshpoint.testbench.results.output import (
     WordsConsole,
@@ -108,9 +108,10 @@ def run(namespace: argparse.Namespace) -> int:
             out.print()
             sessions[strategy] = _verify(live.log)
     lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
-    groups = compare({name: result.monitor.rows.rows for name, result in results.items()})
+    rows = {name: result.monitor.rows.rows for name, result in results.items()}
+    groups, better = compare(rows), verdict(rows)
     out.print(comparison_table(groups, live.gearbox_words))
-    for line in explain(groups, sheet):
+    for line in (*explain(groups, sheet), better):
         out.print(line)
     report = namespace.out / "report.html"
     write_demo_report(report, lives, results, sessions)
@@ -135,6 +136,7 @@ def run(namespace: argparse.Namespace) -> int:
             for name, result in results.items()
         },
         "comparison": [group.to_json() for group in groups],
+        "verdict": better,
         "gap_over_pitch": sheet.dog.backlash_share,
         "provenance": provenance(sheet, namespace.seed, namespace.preset, rig.profile),
     }

@@ -44,6 +44,7 @@ class ReplayRows:
             self._take(message)
         elif isinstance(message, ReferenceEngagement):
             self._truth.append(message)
+            self._take_truth()
         if self.report is not None and (self.open_loop or not isinstance(message, MADE)):
             self.report.take(message)
 
@@ -55,6 +56,7 @@ class ReplayRows:
         if self._collector is None:
             self.header = header
             self._collector = RowCollector(header.sheet, aim_rad(header), header.settings)
+            self._take_truth()
             if self._for_report:
                 self.report = ReportCollector(header.sheet, aim_rad(header), header.settings)
 
@@ -64,12 +66,14 @@ class ReplayRows:
             return
         message = self._made.receive(frame).message
         if isinstance(message, ShiftOutcome):
-            for truth in self._truth:
-                self._take(truth)
-            self._truth.clear()
             self._take(message)
         if self.report is not None and isinstance(message, MADE):
             self.report.take(message)
+
+    def _take_truth(self) -> None:
+        """What the log has said of the rig's truth, as soon as there are rows to put it in."""
+        while self._truth and self._collector is not None:
+            self._collector.take(self._truth.pop(0))
 
     def _take(self, message: Message) -> None:
         if self._collector is None:

@@ -7,7 +7,7 @@ are cut out a moment after a shift has ended and the rest is dropped: a run may 
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -201,9 +201,10 @@ class ReportCollector:
         self._traces, self._forgot_s = _ReportTraces(), 0.0
 
     def finish(self) -> list[ReportShift]:
-        """All shifts, at the end of the bus."""
+        """All shifts, at the end of the bus, with what their rows have got after their ends."""
         self._cut_all()
-        return self._shifts
+        rows = zip(self._shifts, self._rows.rows, strict=True)
+        return [replace(shift, row=row) for shift, row in rows]
 
     def _cut_all(self) -> None:
         while self._ended:

@@ -13,6 +13,7 @@ from meshpoint.testbench.report.comparison import (
     explain,
     headline,
     strategies_explained,
+    verdict,
 )
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
@@ -39,10 +40,11 @@ from meshpoint.testbench.results.rows import ShiftRow
 def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     """The whole page; `data` is what its script draws, each shift read when it is opened."""
     shifts = sum(len(run.shifts) for run in report.runs)
-    groups = compare({run.name: [shift.row for shift in run.shifts] for run in report.runs})
+    rows = {run.name: [shift.row for shift in run.shifts] for run in report.runs}
+    groups = compare(rows)
     body = [
         f"<h1>{escape(report.title)}</h1>",
-        f'<p class="headline">{escape(headline(groups, report.sheet))}</p>',
+        f'<p class="headline">{escape(headline(groups, report.sheet, verdict(rows)))}</p>',
         f"<p>{escape(report.subtitle)}</p>",
         "<h2>Summary</h2>" if report.asked is None else "<h2>Summary of the log</h2>",
         _summary(groups, report),

@@ -44,7 +44,11 @@ class ShiftFigures:
     """Where the sleeve stood after the last abort, from neutral, negative towards first and crawl;
     None without one."""
     impact_j: float = 0.0
-    """Lost in flank impacts until the gear was locked, all attempts; 0 in the preset thesis."""
+    """Lost in flank impacts until the gear was locked, all attempts, by the rig's truth; 0 in the
+    preset thesis."""
+    impact_complete: bool = True
+    """False: sleeve and gear had met and not locked 0.4 s after the shift's end, or when the log
+    ended; what a later impact took is not in `impact_j`."""
     face_ms: float = 0.0
     """Tooth on tooth, all attempts."""
     ratchets: int = 0
