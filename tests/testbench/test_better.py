@@ -58,7 +58,7 @@ def test_the_sentence_says_both_where_one_is_better_and_the_other_worse() -> Non
         "404 ms (worse, beyond chance); impact 1.00 instead of 1.00 J."
     )
     assert sentence("a", "b", 2, by_pairs(pairs([1.0, 2.0], [2.0, 1.5]))) == (
-        "On the same 2 shifts a differs from b by no more than chance does: impact 1.50 instead of "
-        "1.75 J (better, no more than chance does)."
+        "On the same 2 shifts a differs from b by no more than chance: impact 1.50 instead of "
+        "1.75 J (better, within chance)."
     )
     assert sentence("a", "b", 0, []) == ""

@@ -145,8 +145,8 @@ def with_impact(rows: list[ShiftRow], impact_j: float) -> list[ShiftRow]:
             },
             "Tooth met gap at first contact in 3 of 3 shifts by phase control, in 1 of 3 by the "
             "speed window (today) (by chance 20 %). On the same 3 shifts phase control is better "
-            "than the speed window (today): first contact in a gap 3 instead of 1 of 3 (better, no "
-            "more than chance does); time 400 instead of 500 ms (better, beyond chance); impact "
+            "than the speed window (today): first contact in a gap 3 instead of 1 of 3 (better, "
+            "within chance); time 400 instead of 500 ms (better, beyond chance); impact "
             "0.04 instead of 1.50 J (better, beyond chance). Where tooth meets tooth ",
         ),
         (

@@ -24,6 +24,7 @@ from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.demo.report import demo_run, write_demo_report
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
@@ -98,6 +99,7 @@ def run(namespace: argparse.Namespace) -> int:
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}
+    beliefs: dict[str, Beliefs] = {}
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
         for strategy in reversed(DEMO_STRATEGIES):  # the one that has the picture first
             live = lives[strategy] = _live_run(namespace, rig, strategy, Path(private))
@@ -106,7 +108,8 @@ def run(namespace: argparse.Namespace) -> int:
             if strategy == AIMING_STRATEGY:
                 out.print(_picture(namespace.out, live, begun_s))
             out.print()
-            sessions[strategy] = _verify(live.log)
+            beliefs[strategy] = Beliefs()
+            sessions[strategy] = _verify(live.log, beliefs[strategy])
     lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
     rows = {name: result.monitor.rows.rows for name, result in results.items()}
     groups, better = compare(rows), verdict(rows)
@@ -114,7 +117,7 @@ def run(namespace: argparse.Namespace) -> int:
     for line in (*explain(groups, sheet), better):
         out.print(line)
     report = namespace.out / "report.html"
-    write_demo_report(report, lives, results, sessions)
+    write_demo_report(report, lives, results, sessions, beliefs)
     values = {
         "shifts": [
             row.to_json() for result in results.values() for row in result.monitor.rows.rows
@@ -261,9 +264,10 @@ def _complain(line: str) -> None:
         complain(line)
 
 
-def _verify(log: Path) -> Session:
+def _verify(log: Path, beliefs: Beliefs) -> Session:
+    replay = LogReplay(log.parent, verify=True, on_step=beliefs.look)
     try:
-        return LogReplay(log.parent, verify=True).run(frame for _, frame in read_log(log))[0]
+        return replay.run(frame for _, frame in read_log(log))[0]
     except LogError as error:
         return Session(verdict=Verification.NOT_VERIFIABLE, reason=str(error))
 

@@ -7,6 +7,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.report.collect import MADE, ReportCollector
@@ -30,6 +31,8 @@ class ReplayRows:
         self._session = -1
         self._keys: list[tuple[int, int]] = []
         """Of each row in open loop: session and time of request."""
+        self.beliefs = Beliefs()
+        """Of the repeated controller, as recorded."""
         self.report: ReportCollector | None = None
         self.header: RunHeader | None = None
         """Of the first session, which rows and report are made with."""
@@ -58,7 +61,9 @@ class ReplayRows:
             self._collector = RowCollector(header.sheet, aim_rad(header), header.settings)
             self._take_truth()
             if self._for_report:
-                self.report = ReportCollector(header.sheet, aim_rad(header), header.settings)
+                self.report = ReportCollector(
+                    header.sheet, aim_rad(header), header.settings, self.beliefs
+                )
 
     def made(self, frame: Frame) -> None:
         """A frame the repeated controller sent."""

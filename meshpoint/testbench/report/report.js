@@ -40,6 +40,7 @@
 
   function tell(shift) {
     document.getElementById("title").textContent = shift.title;
+    document.getElementById("cause").textContent = shift.cause;
     const rows = shift.account.map((cells) => {
       const row = document.createElement("tr");
       for (const [i, text] of cells.entries()) {

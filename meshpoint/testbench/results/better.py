@@ -53,7 +53,7 @@ class Judged(NamedTuple):
     def __str__(self) -> str:
         if self.is_better is None:
             return f"{self.figure} {self.values}"
-        chance = {True: "beyond chance", False: "no more than chance does", None: "by chance or not"}
+        chance = {True: "beyond chance", False: "within chance", None: "chance not known"}
         which = "better" if self.is_better else "worse"
         return f"{self.figure} {self.values} ({which}, {chance[self.is_beyond_chance]})"
 
@@ -101,7 +101,7 @@ def sentence(name: str, other: str, shifts: int, judged: Sequence[Judged]) -> st
     elif told:
         verdict = f"is {'better' if ways[True] else 'worse'} than {other}"
     else:
-        verdict = f"differs from {other} by no more than chance does"
+        verdict = f"differs from {other} by no more than chance"
     return f"On the same {counted(shifts)} {name} {verdict}: {'; '.join(map(str, judged))}."
 
 

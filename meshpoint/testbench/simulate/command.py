@@ -25,6 +25,7 @@ from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
 from meshpoint.testbench.loop.setup import Setup
@@ -192,9 +193,9 @@ def run(namespace: argparse.Namespace) -> int:
     apart = _apart(namespace, setup)
     out = console(namespace.json)
     check_report(namespace.report)
-    collector = None
+    collector, beliefs = None, Beliefs()
     if namespace.report is not None:
-        collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings)
+        collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings, beliefs)
     with ExitStack() as stack:
         log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
         if log is not None:
@@ -228,6 +229,7 @@ def run(namespace: argparse.Namespace) -> int:
             stop=stop,
             record=None if log is None else log.path.parent,
             apart=apart,
+            on_step=None if collector is None else beliefs.look,
         )
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))
