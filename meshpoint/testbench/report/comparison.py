@@ -17,7 +17,7 @@ from typing import Any, Final
 from rich.table import Table
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.results.better import Outcome, by_pairs, sentence
+from meshpoint.testbench.results.better import Outcome, by_pairs, named, sentence
 from meshpoint.testbench.results.output import shown
 from meshpoint.testbench.results.rows import LOCK_WAIT_US, ShiftRow, summarise
 from meshpoint.testbench.results.wilson import wilson
@@ -177,20 +177,6 @@ def verdict(runs: Mapping[str, Sequence[ShiftRow]]) -> str:
         for place in sorted(_known(keyed))
     ]
     return sentence(*(named(str(name)) for name in pair), len(both), by_pairs(both))
-
-
-TITLES: Final = {
-    "speed_window": "the speed window (today)",
-    "speed_window_anticipating": "the anticipating speed window",
-    "target_phase": "phase control",
-    "true_state": "phase control, perfect state",
-}
-"""Strategies in the words of the field."""
-
-
-def named(strategy: str) -> str:
-    """A strategy in words; one of a user's own by its name."""
-    return TITLES.get(strategy, shown(strategy))
 
 
 STRATEGY_WORDS: Final = {

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from meshpoint.testbench.results.output import counted, number
+from meshpoint.testbench.results.output import counted, number, shown
 
 ERROR: Final = 0.05
 """A difference that equal strategies show in this share of cases is no more than chance."""
@@ -19,6 +19,20 @@ ERROR: Final = 0.05
 
 MEANS: Final = (("duration_ms", "time", "ms", 0), ("impact_j", "impact", "J", 2))
 """Figures of which the mean is compared: as a row has it, its word, unit and digits."""
+
+
+TITLES: Final = {
+    "speed_window": "the speed window (today)",
+    "speed_window_anticipating": "the anticipating speed window",
+    "target_phase": "phase control",
+    "true_state": "phase control, perfect state",
+}
+"""Strategies in the words of the field."""
+
+
+def named(strategy: str) -> str:
+    """A strategy in words; one of a user's own by its name."""
+    return TITLES.get(strategy, shown(strategy))
 
 
 class Outcome(NamedTuple):
@@ -85,9 +99,9 @@ def less_is_better(
     figure: str, mine: float, theirs: float, unit: str, digits: int, is_beyond: bool | None
 ) -> Judged:
     """A mean of which less is better; equal where it is to the digits shown."""
-    shown, shown_theirs = number(mine, digits), number(theirs, digits)
-    better = None if shown == shown_theirs else mine < theirs
-    return Judged(figure, f"{shown} instead of {shown_theirs} {unit}", better, is_beyond)
+    told, other = number(mine, digits), number(theirs, digits)
+    better = None if told == other else mine < theirs
+    return Judged(figure, f"{told} instead of {other} {unit}", better, is_beyond)
 
 
 def sentence(name: str, other: str, shifts: int, judged: Sequence[Judged]) -> str:
