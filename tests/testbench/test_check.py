@@ -307,7 +307,7 @@ def test_a_node_is_alive_whose_status_is_heard_and_no_other(
     with live(tmp_path, "rig", *bus, "--gearbox", "truck12") as rig:
         rig.until_said("on meshpoint channel")
         until(lambda: main(["check", "--alive", "rig", *bus]) == 0, "a rig at work")
-        assert "yes: " in capsys.readouterr().out
+        assert "READY (" in capsys.readouterr().out
         words = ["check", "--alive", "controller", *bus, "--seconds", "0.3", "--json", "-"]
         assert main(words) == 1
         record = json.loads(capsys.readouterr().out)

@@ -112,7 +112,7 @@ def test_values_that_were_fixed_are_counted(
     fixed = tmp_path / "slope.toml"
     fixed.write_text("[vehicle]\nslope_percent = 2.0\n")
     assert main(["simulate", "--shifts", "1", "--as-built", str(fixed)]) == 0
-    assert f"{OF}, values fixed: 1" in capsys.readouterr().out
+    assert f"{OF}, 1 as-built value overridden" in capsys.readouterr().out
 
 
 def test_a_campaign_names_sheet_and_profile_in_all_that_it_gives(

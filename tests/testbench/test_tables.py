@@ -161,7 +161,7 @@ def judged(strategy: str) -> JudgedRow:
     return JudgedRow(replace(ROW, strategy=strategy), shift)
 
 
-GEARBOX = "sheet truck12, profile typical, values fixed: 3"
+GEARBOX = "sheet truck12, profile typical, 3 as-built values overridden"
 TABLES: dict[str, Callable[[], Table]] = {
     "results.output.rows_table": lambda: rows_table("title", [ROW]),
     "report.comparison.comparison_table": lambda: comparison_table(

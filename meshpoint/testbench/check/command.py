@@ -240,7 +240,7 @@ def _end(namespace: argparse.Namespace, config: dict[str, Any], findings: list[F
     channel = config.get("channel")
     out = console(namespace.json)
     out.print(findings_table(findings))
-    out.print(f"{'yes' if is_ready else 'no'}: {reason}", soft_wrap=True)
+    out.print(answer_words(is_ready, reason), soft_wrap=True)
     if namespace.json is not None:
         values = {
             "interface": config["interface"],

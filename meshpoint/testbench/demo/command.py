@@ -1,4 +1,4 @@
-"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, a verified log."""
+"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, a log checked by bit-exact replay."""
 
 from __future__ import annotations
 

@@ -140,8 +140,8 @@ def _sum(parts: list[Part]) -> str:
     """The whole, then its parts, the largest first."""
     ordered = sorted(parts, key=lambda part: -abs(part.deg))
     whole = sum(part.deg for part in parts)
-    told = [str(ordered[0]), *(str(part._replace(how="")) for part in ordered[1:])]
-    return f"{whole:+.2f} deg off, of which {', '.join(told)}"
+    shares = [str(ordered[0]), *(str(part._replace(how="")) for part in ordered[1:])]
+    return f"{whole:+.2f} deg off, of which {', '.join(shares)}"
 
 
 def _parts(

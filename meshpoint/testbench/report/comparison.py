@@ -153,7 +153,7 @@ def headline(groups: Sequence[ShiftGroup], sheet: GearboxSheet, better: str = ""
     return f"{met} {better} {WHY}"
 
 
-WHY: Final = "Where tooth meets tooth the sleeve waits or is thrown back, and the teeth wear."
+WHY: Final = "Where tooth meets tooth the sleeve waits or bounces off, and the teeth wear."
 
 
 def _cost(group: ShiftGroup) -> str:

@@ -99,20 +99,20 @@ def less_is_better(
     figure: str, mine: float, theirs: float, unit: str, digits: int, is_beyond: bool | None
 ) -> Judged:
     """A mean of which less is better; equal where it is to the digits shown."""
-    told, other = number(mine, digits), number(theirs, digits)
-    better = None if told == other else mine < theirs
-    return Judged(figure, f"{told} instead of {other} {unit}", better, is_beyond)
+    value, beside = number(mine, digits), number(theirs, digits)
+    better = None if value == beside else mine < theirs
+    return Judged(figure, f"{value} instead of {beside} {unit}", better, is_beyond)
 
 
 def sentence(name: str, other: str, shifts: int, judged: Sequence[Judged]) -> str:
     """Whether `name` was better than `other`; empty where nothing was compared."""
     if not judged or not shifts:
         return ""
-    told = [each for each in judged if each.is_beyond_chance and each.is_better is not None]
-    ways = {way: [each.figure for each in told if each.is_better is way] for way in (True, False)}
+    sure = [each for each in judged if each.is_beyond_chance and each.is_better is not None]
+    ways = {way: [each.figure for each in sure if each.is_better is way] for way in (True, False)}
     if ways[True] and ways[False]:
         verdict = f"is better than {other} in {_and(ways[True])} and worse in {_and(ways[False])}"
-    elif told:
+    elif sure:
         verdict = f"is {'better' if ways[True] else 'worse'} than {other}"
     else:
         verdict = f"differs from {other} by no more than chance"
