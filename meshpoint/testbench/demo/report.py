@@ -38,7 +38,7 @@ def write_demo_report(
     first = next(iter(lives.values()))
     rig: RigSettings = first.rig
     report = Report(
-        title="meshpoint demo: today's strategy and phase aiming",
+        title="meshpoint demo: the speed window (today) and phase control",
         subtitle="Controller and rig on a CAN bus; the gearbox is simulated, preset "
         f"{rig.preset}, {first.gearbox_words}.",
         sheet=first.header.sheet,
