@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -95,6 +96,10 @@ def picture(seen: Seen) -> str:
         f"A sleeve that would meet a tooth is stopped short of it and fired again: gear "
         f"{row.from_} to {row.to}"
     )
+    of = (
+        f"simulated, 1/{SLOWER:.0f} of its speed; sheet {seen.sheet.name}, profile typical, seed "
+        f"{SEED}, gear {row.from_} to {row.to}"
+    )
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
         f'font-family="{FONT}" font-size="14" role="img">',
@@ -103,59 +108,60 @@ def picture(seen: Seen) -> str:
         _teeth(moving),
         _captions(moving),
         _tracks(moving),
-        f'<text x="{RIGHT}" y="{HEIGHT - 10}" text-anchor="end" font-size="12" fill="{GREY}">'
-        f"simulated, 1/{SLOWER:.0f} of its speed; sheet {seen.sheet.name}, profile typical, seed "
-        f"{SEED}, gear {row.from_} to {row.to}</text>",
+        _text(RIGHT, HEIGHT - 10, of, 12, text_anchor="end", fill=GREY),
         "</svg>",
     ]
     return "\n".join(parts) + "\n"
 
 
+def _rect(x: float, y: float, wide: float, high: float, fill: str = "") -> str:
+    color = f' fill="{fill}"' if fill else ""
+    return f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}"{color}/>'
+
+
+def _text(x: float, y: float, words: str, size: int, **style: str) -> str:
+    more = "".join(f' {name.replace("_", "-")}="{value}"' for name, value in style.items())
+    return f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}"{more}>{words}</text>'
+
+
 def _teeth(moving: Moving) -> str:
-    """Sleeve above, gear below, unrolled; the gear's turn past the sleeve, the sleeve moves in."""
+    """Sleeve above, gear below, unrolled; the gear's turn past the sleeve, the sleeve moves in.
+    Both have teeth of one width."""
     top, bottom = TEETH
     deg_px = (WIDTH - 20) / (PITCHES * moving.pitch)
     middle, contact_mm = WIDTH / 2, moving.seen.sheet.sleeve.to_contact_m / MM
     front = top + 26.0 + TOOTH_PX
     gear_front = front + contact_mm * SLEEVE_MM_PX
-    half = (moving.pitch - moving.gap) / 4.0 * deg_px
-    """Sleeve and gear have teeth of one width."""
-    sleeve = [_comb(middle + (k + 0.5) * moving.pitch * deg_px, front, -1, half) for k in range(-3, 3)]
-    gear = [
-        _comb(middle + k * moving.pitch * deg_px, gear_front, 1, half) for k in range(-3, 4) if k
-    ]
-    aimed = _comb(middle, gear_front, 1, half)
-    at_contact = int(np.argmin(np.abs(moving.ms - moving.seen.contact_ms)))
+    half, pitch = (moving.pitch - moving.gap) / 4.0 * deg_px, moving.pitch * deg_px
+    sleeve = [_tooth(middle + (k + 0.5) * pitch, front, -1, half) for k in range(-3, 3)]
+    gear = [_tooth(middle + k * pitch, gear_front, 1, half) for k in range(-3, 4) if k]
     zeros = np.zeros(moving.ms.size)
-    end_ms = float(moving.ms[-1])
-    color = moving.during("fill", "#e6a26b", "#5fb39a", moving.seen.contact_ms, end_ms)
+    met_deg = float(np.interp(moving.seen.contact_ms, moving.ms, moving.phase_deg))
+    ends = moving.seen.contact_ms, float(moving.ms[-1])
+    color = moving.during("fill", "#e6a26b", "#5fb39a", *ends)
     return "\n".join(
         (
-            f'<clipPath id="teeth"><rect x="10" y="{top}" width="{WIDTH - 20}" '
-            f'height="{bottom - top}"/></clipPath>',
-            f'<g clip-path="url(#teeth)"><rect x="10" y="{top}" width="{WIDTH - 20}" '
-            f'height="{bottom - top}" fill="#fafafa"/>',
-            f'<line x1="{middle}" x2="{middle}" y1="{top}" y2="{bottom}" stroke="{GREEN}" '
-            'stroke-dasharray="4 4"/>',
-            f'<g fill="#c8c8c8" stroke="#555" transform="translate('
-            f'{moving.phase_deg[at_contact] * deg_px:.1f} 0)">'
-            f"{moving.moves(moving.phase_deg * deg_px, zeros)}"
-            f'<path d="{" ".join(gear)}"/><path d="{aimed}" fill="#5fb39a">{color}</path>'
-            f'<rect x="{-WIDTH}" y="{gear_front + TOOTH_PX:.1f}" width="{3 * WIDTH}" height="90"/></g>',
-            f'<g fill="#8fbcdb" stroke="#005b8f" transform="translate(0 '
-            f'{contact_mm * SLEEVE_MM_PX:.1f})">'
-            f"{moving.moves(zeros, moving.travel_mm * SLEEVE_MM_PX)}"
-            f'<path d="{" ".join(sleeve)}"/>'
-            f'<rect x="{-WIDTH}" y="{front - TOOTH_PX - 190:.1f}" width="{3 * WIDTH}" height="190"/></g>',
-            "</g>",
-            f'<text x="20" y="{top + 20}" fill="#005b8f" font-weight="600">sleeve</text>',
-            f'<text x="20" y="{bottom - 7}" fill="#333" font-weight="600">gear</text>',
+            f'<clipPath id="teeth">{_rect(10, top, WIDTH - 20, bottom - top)}</clipPath>',
+            f'<g clip-path="url(#teeth)">{_rect(10, top, WIDTH - 20, bottom - top, "#fafafa")}',
+            f'<path d="M{middle} {top}V{bottom}" stroke="{GREEN}" stroke-dasharray="4 4"/>',
+            f'<g fill="#c8c8c8" stroke="#555" transform="translate({met_deg * deg_px:.1f} 0)">',
+            moving.moves(moving.phase_deg * deg_px, zeros),
+            f'<path d="{" ".join(gear)}"/>',
+            f'<path d="{_tooth(middle, gear_front, 1, half)}" fill="#5fb39a">{color}</path>',
+            f"{_rect(-WIDTH, gear_front + TOOTH_PX, 3 * WIDTH, 90)}</g>",
+            '<g fill="#8fbcdb" stroke="#005b8f" '
+            f'transform="translate(0 {contact_mm * SLEEVE_MM_PX:.1f})">',
+            moving.moves(zeros, moving.travel_mm * SLEEVE_MM_PX),
+            f'<path d="{" ".join(sleeve)}"/>',
+            f"{_rect(-WIDTH, front - TOOTH_PX - 190, 3 * WIDTH, 190)}</g></g>",
+            _text(20, top + 19, "sleeve", 14, fill="#005b8f", font_weight="600"),
+            _text(20, bottom - 7, "gear", 14, fill="#333", font_weight="600"),
         )
     )
 
 
-def _comb(x: float, front: float, side: int, half: float) -> str:
-    """A tooth; side: +1 where its body lies below the front."""
+def _tooth(x: float, front: float, side: int, half: float) -> str:
+    """A path; side: +1 where the tooth's body lies below its front."""
     root, edge = front + side * TOOTH_PX, 4.0
     return (
         f"M{x - half:.1f} {root:.1f}V{front + side * edge:.1f}L{x - half + edge:.1f} {front:.1f}"
@@ -165,25 +171,25 @@ def _comb(x: float, front: float, side: int, half: float) -> str:
 
 def _captions(moving: Moving) -> str:
     """What happens, one line at a time; the last one stands where nothing moves."""
-    seen, end_ms = moving.seen, float(moving.ms[-1])
-    would = "would meet a tooth"
-    lines = [
-        ("brake and drag bring the gear to the sleeve's speed", INK, float(moving.ms[0]), seen.fired_ms),
-        ("fired: tooth is predicted to meet gap when the sleeve arrives", BLUE, seen.fired_ms, seen.aborted_ms),
-        (f"newer edges say that it {would}: stopped in flight by the opposite valve", ORANGE,
-         seen.aborted_ms, seen.held_ms),
-        ("held by friction short of the teeth, until the gap comes", INK, seen.held_ms, seen.again_ms),
-        ("fired again", BLUE, seen.again_ms, seen.contact_ms),
-        ("tooth meets gap: in gear", GREEN, seen.contact_ms, end_ms),
+    seen = moving.seen
+    moments = [
+        float(moving.ms[0]), seen.fired_ms, seen.aborted_ms, seen.held_ms, seen.again_ms,
+        seen.contact_ms, float(moving.ms[-1]),
     ]  # fmt: skip
+    lines = (
+        ("the brake brings the gear to the sleeve's speed", INK),
+        ("fired: tooth is predicted to meet gap when the sleeve arrives", BLUE),
+        ("newer edges say that it would meet a tooth: stopped by the opposite valve", ORANGE),
+        ("held by friction short of the teeth, until the gap comes", INK),
+        ("fired again", BLUE),
+        ("tooth meets gap: in gear", GREEN),
+    )
     made = []
-    for k, (words, color, from_ms, to_ms) in enumerate(lines):
+    for k, ((words, color), span) in enumerate(zip(lines, pairwise(moments), strict=True)):
         shown = "1" if k == len(lines) - 1 else "0"
-        made.append(
-            f'<text x="{WIDTH / 2}" y="26" text-anchor="middle" font-size="17" font-weight="600" '
-            f'fill="{color}" opacity="{shown}">{words}'
-            f"{moving.during('opacity', '0', '1', from_ms, to_ms)}</text>"
-        )
+        animated = words + moving.during("opacity", "0", "1", *span)
+        style = {"text_anchor": "middle", "font_weight": "600", "fill": color, "opacity": shown}
+        made.append(_text(WIDTH / 2, 26, animated, 17, **style))
     return "\n".join(made)
 
 
@@ -196,22 +202,20 @@ def _tracks(moving: Moving) -> str:
         "gap met": seen.contact_ms,
     }  # fmt: skip
     lines = [
-        f'<line x1="{moving.x(at):.1f}" x2="{moving.x(at):.1f}" y1="{first}" y2="{last}" '
-        f'stroke="{GREY}" stroke-dasharray="3 3"/><text x="{moving.x(at):.1f}" y="{first - 10}" '
-        f'text-anchor="middle" font-size="13">{name}</text>'
+        f'<path d="M{moving.x(at):.1f} {first}V{last}" stroke="{GREY}" stroke-dasharray="3 3"/>'
+        + _text(moving.x(at), first - 10, name, 13, text_anchor="middle")
         for name, at in moments.items()
     ]
-    now = np.array([moving.x(at) for at in moving.ms])
-    contact = moving.x(seen.contact_ms)
-    cursor = (
-        f'<line x1="0" x2="0" y1="{first - 4}" y2="{last}" stroke="#c00" stroke-width="1.5" '
-        f'transform="translate({contact:.1f} 0)">{moving.moves(now, np.zeros(now.size))}</line>'
-    )
     scale = [
-        f'<text x="{moving.x(at):.1f}" y="{last + 17}" text-anchor="middle" font-size="12" '
-        f'fill="{GREY}">{at} ms</text>'
+        _text(moving.x(at), last + 17, f"{at} ms", 12, text_anchor="middle", fill=GREY)
         for at in range(0, int(moving.ms[-1]), 20)
     ]
+    now = np.array([moving.x(at) for at in moving.ms])
+    cursor = (
+        f'<path d="M0 {first - 4}V{last}" stroke="#c00" stroke-width="1.5" '
+        f'transform="translate({moving.x(seen.contact_ms):.1f} 0)">'
+        f"{moving.moves(now, np.zeros(now.size))}</path>"
+    )
     return "\n".join([_way(moving), _valves(moving), _phase(moving), *lines, *scale, cursor])
 
 
@@ -221,24 +225,23 @@ def _line(moving: Moving, ys: Vector) -> str:
 
 
 def _name(track: str, *words: str) -> str:
-    top, bottom = TRACKS[track]
-    middle = (top + bottom) / 2 + 5 - 8 * (len(words) - 1)
+    """In lines, left of the track."""
+    middle = sum(TRACKS[track]) / 2 + 5 - 8 * (len(words) - 1)
     return "".join(
-        f'<text x="{LEFT - 12}" y="{middle + 16 * k:.0f}" text-anchor="end" font-size="13">{word}</text>'
+        _text(LEFT - 12, middle + 16 * k, word, 13, text_anchor="end")
         for k, word in enumerate(words)
     )
 
 
 def _way(moving: Moving) -> str:
     top, bottom = TRACKS["sleeve"]
-    sleeve = moving.seen.sheet.sleeve
+    sleeve, high = moving.seen.sheet.sleeve, bottom - top
     stroke_mm, contact_mm = sleeve.stroke_m / MM, sleeve.to_contact_m / MM
-    teeth = bottom - (bottom - top) * contact_mm / stroke_mm
+    teeth = bottom - high * contact_mm / stroke_mm
     return (
-        f'<rect x="{LEFT}" y="{top}" width="{RIGHT - LEFT}" height="{teeth - top:.1f}" fill="#e9e9e9"/>'
-        f'<text x="{RIGHT - 4}" y="{teeth - 5:.1f}" text-anchor="end" font-size="12" fill="{GREY}">'
-        "at the gear's teeth</text>"
-        + _line(moving, bottom - (bottom - top) * moving.travel_mm / stroke_mm)
+        _rect(LEFT, top, RIGHT - LEFT, teeth - top, "#e9e9e9")
+        + _text(LEFT + 8, teeth - 5, "at the gear's teeth", 12, fill=GREY)
+        + _line(moving, bottom - high * moving.travel_mm / stroke_mm)
         + _name("sleeve", "way of the", "sleeve")
     )
 
@@ -250,46 +253,39 @@ def _valves(moving: Moving) -> str:
     for lane, (name, color) in enumerate((("towards_coil", BLUE), ("against_coil", ORANGE))):
         on = np.interp(moving.ms, moving.seen.ms, moving.seen.samples[name]) > 0.5
         edges = np.flatnonzero(np.diff(np.concatenate(([0], on.astype(int), [0]))))
-        for start, end in edges.reshape(-1, 2).tolist():
-            from_x, to_x = (moving.x(moving.ms[min(k, moving.ms.size - 1)]) for k in (start, end))
-            y = top + lane * (high + 4)
-            bars.append(
-                f'<rect x="{from_x:.1f}" y="{y:.1f}" width="{to_x - from_x:.1f}" '
-                f'height="{high:.1f}" fill="{color}"/>'
-            )
+        for span in edges.reshape(-1, 2).tolist():
+            start, end = (moving.x(moving.ms[min(k, moving.ms.size - 1)]) for k in span)
+            bars.append(_rect(start, top + lane * (high + 4), end - start, high, color))
     return "".join(bars) + _name("valves", "valve on,", "opposite valve")
 
 
 def _phase(moving: Moving) -> str:
     top, bottom = TRACKS["phase"]
-    seen = moving.seen
-    missed_deg = float(np.interp(seen.missed_ms, moving.ms, moving.phase_deg))
-    met_deg = float(np.interp(seen.contact_ms, moving.ms, moving.phase_deg))
-    low = min(float(moving.phase_deg.min()), -moving.gap) - 0.5
-    high = max(float(moving.phase_deg.max()), moving.gap) + 0.5
+    seen, half = moving.seen, moving.gap / 2
+    low = min(float(moving.phase_deg.min()), -half) - 0.5
+    high = max(float(moving.phase_deg.max()), half) + 0.5
 
     def y(deg: float) -> float:
-        return bottom - (bottom - top) * (deg - low) / (high - low)
+        return bottom - (bottom - top) * (min(max(deg, low), high) - low) / (high - low)
 
+    gaps = [moving.pitch * k for k in range(-3, 4)]
     bands = [
-        f'<rect x="{LEFT}" y="{y(min(high, k * moving.pitch + moving.gap / 2)):.1f}" '
-        f'width="{RIGHT - LEFT}" height="{y(max(low, k * moving.pitch - moving.gap / 2)) - y(min(high, k * moving.pitch + moving.gap / 2)):.1f}" '
-        'fill="#d5efe4"/>'
-        for k in range(-3, 4)
-        if k * moving.pitch + moving.gap / 2 > low and k * moving.pitch - moving.gap / 2 < high
+        _rect(LEFT, y(gap + half), RIGHT - LEFT, y(gap - half) - y(gap + half), "#d5efe4")
+        for gap in gaps
+        if gap + half > low and gap - half < high
     ]
-    x, at = moving.x(seen.missed_ms), y(missed_deg)
-    cross = (
-        f'<path d="M{x - 6:.1f} {at - 6:.1f}l12 12m0 -12l-12 12" stroke="{ORANGE}" stroke-width="3.5"/>'
-        f'<text x="{x + 12:.1f}" y="{at + 16:.1f}" font-size="12" fill="#a83f00">'
-        "where it would have met</text>"
+    missed, met = (
+        (moving.x(at), y(float(np.interp(at, moving.ms, moving.phase_deg))))
+        for at in (seen.missed_ms, seen.contact_ms)
     )
-    dot = (
-        f'<circle cx="{moving.x(seen.contact_ms):.1f}" cy="{y(met_deg):.1f}" r="6" fill="{GREEN}" '
-        f'stroke="{INK}"/>'
+    cross = f"M{missed[0] - 6:.1f} {missed[1] - 6:.1f}l12 12m0 -12l-12 12"
+    marks = (
+        f'<path d="{cross}" stroke="{ORANGE}" stroke-width="3.5"/>',
+        _text(missed[0] + 12, missed[1] + 16, "where it would have met", 12, fill="#a83f00"),
+        f'<circle cx="{met[0]:.1f}" cy="{met[1]:.1f}" r="6" fill="{GREEN}" stroke="{INK}"/>',
     )
-    ys = np.array([y(deg) for deg in moving.phase_deg])
-    return "".join([*bands, _line(moving, ys), cross, dot]) + _name("phase", "tooth against", "the gaps")
+    line = _line(moving, np.array([y(deg) for deg in moving.phase_deg]))
+    return "".join([*bands, line, *marks, _name("phase", "tooth against", "the gaps")])
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings import ControllerSettings, Window
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
@@ -80,7 +80,8 @@ class Watch:
         snapshot, shift = core.snapshot, core.running_shift
         ahead_us = (message.release_time_us - message.decision_time_us) % 2**32
         is_ahead = LEAST_US < ahead_us < 2**31
-        if message.decision is not ShiftDecision.FIRE or not is_ahead or message.phase_sd_rad == 0.0:
+        is_aimed = message.decision is ShiftDecision.FIRE and message.phase_sd_rad > 0.0
+        if not (is_aimed and is_ahead):
             return
         predictor = shift and snapshot and core.sequence.predictor(shift.target.main, snapshot)
         if not predictor:
@@ -118,7 +119,7 @@ def draw(plan: Plan, shift: ReportShift, sheet: GearboxSheet, path: Path) -> Non
     zero_ms = shift.ms(round(plan.from_us) % 2**32)
     gear = DRIVE_GEARS[shift.row.to].main
     ratio = sheet.main_mesh(gear).ratio
-    _slip(axes[0], plan, times_ms, _true_slip(shift, ratio, zero_ms), ControllerSettings())
+    _slip(axes[0], plan, times_ms, _true_slip(shift, ratio, zero_ms), Window())
     _phase(axes[1], plan, times_ms, _true_phase(shift, gear.name.lower(), ratio, zero_ms), sheet)
     moments = {
         "brake valve off": plan.message.release_time_us,
@@ -130,8 +131,8 @@ def draw(plan: Plan, shift: ReportShift, sheet: GearboxSheet, path: Path) -> Non
         for axis in axes:
             axis.axvline(at_ms, color=INK, lw=0.9, ls=":")
         axes[0].annotate(
-            name, (at_ms, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3 + 13 * (above % 2)),
-            textcoords="offset points", ha="center", va="bottom", weight="bold",
+            name, (at_ms, 1.0), xycoords=("data", "axes fraction"), textcoords="offset points",
+            xytext=(0, 3 + 13 * (above % 2)), ha="center", va="bottom", weight="bold",
         )  # fmt: skip
     for axis in axes:
         axis.grid(alpha=0.25)
@@ -147,9 +148,8 @@ def draw(plan: Plan, shift: ReportShift, sheet: GearboxSheet, path: Path) -> Non
 
 
 def _slip(
-    axis: Any, plan: Plan, times_ms: Vector, truth: tuple[Vector, Vector], settings: ControllerSettings
+    axis: Any, plan: Plan, times_ms: Vector, truth: tuple[Vector, Vector], window: Window
 ) -> None:
-    window = settings.window
     low, high = window.contact_low_rad_s / RPM, window.contact_high_rad_s / RPM
     axis.axhspan(low, high, color=GREY, alpha=0.14, lw=0, label="allowed at contact")
     axis.plot(times_ms, plan.slip_rpm, color=BLUE, lw=2.4, label="predicted")

@@ -24,7 +24,8 @@ def browse(
         [
             browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
             f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND",
-            f"--virtual-time-budget={milliseconds}", f"--window-size={width},2400", "--dump-dom", url,
+            f"--virtual-time-budget={milliseconds}", f"--window-size={width},2400",
+            "--dump-dom", url,
         ],
         capture_output=True, text=True, timeout=HANG_S, check=True,
     )  # fmt: skip

@@ -14,8 +14,7 @@ from meshpoint.testbench.results.better import Outcome, by_pairs, sentence
 def pairs(mine: list[float], theirs: list[float]) -> list[tuple[Outcome, Outcome]]:
     """Shifts of which the impact alone is known."""
     return [
-        (Outcome(None, None, a), Outcome(None, None, b))
-        for a, b in zip(mine, theirs, strict=True)
+        (Outcome(None, None, a), Outcome(None, None, b)) for a, b in zip(mine, theirs, strict=True)
     ]
 
 

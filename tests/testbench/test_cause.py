@@ -132,7 +132,7 @@ def test_the_cause_is_the_belief_that_was_wrong(made: ReportShift, name: str, ho
     said = cause(made, SHEET)
     assert parts(said) == pytest.approx(only(name, 1.2), abs=0.035)
     assert said is not None
-    assert said.startswith("Fired for +0.00 ± 0.50 deg, met a tooth at +1.20 (the gap ends at ±0.75)")
+    assert said.startswith("Fired for +0.00 ± 0.50 deg, met a tooth at +1.20 (the gap ends at")
     assert re.search(rf"of which {name} \+1\.\d\d \({re.escape(how)}\)", said)
 
 
@@ -192,7 +192,8 @@ def test_an_abort_says_what_would_have_been_met(off_deg: float, meets: str) -> N
     made = replace(made, series=made.series | {"aborted": ([365.0], [1.0])})
     said = cause(made, SHEET)
     assert said is not None
-    assert said.startswith(f"Fired for +0.00 ± 0.50 deg, stopped 15 ms later: it would have met {meets}")
+    assert said.startswith("Fired for +0.00 ± 0.50 deg, stopped 15 ms later: it would have met ")
+    assert f"it would have met {meets} deg: " in said
     assert parts(said) == pytest.approx(only("the reference", off_deg), abs=0.011)
 
 

@@ -55,9 +55,8 @@ def test_the_law_that_was_learned_is_told_with_intervals() -> None:
     stops = found.figure("sleeve stopping distance second")
     assert stops.value is not None
     assert 0.5 < stops.value < 1e3 * SHEET.sleeve.to_contact_m
-    assert (
-        found.figure("sleeve delay third, actuator model").why == "this sleeve did not move in the log"
-    )
+    unmoved = found.figure("sleeve delay third, actuator model")
+    assert unmoved.why == "this sleeve did not move in the log"
     assert found.figure("sleeve delay by temperature").why
 
 

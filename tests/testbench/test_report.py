@@ -331,7 +331,8 @@ def test_on_a_narrow_page_names_and_legends_cover_no_curve_and_nothing_is_cut(
         for name, top in re.findall(r'data-subplot="(xy\d*)" x="[\d.]+" y="([\d.]+)"', figure)
     }
     legends = re.findall(
-        r'<g class="(legend\d*)"[^>]*translate\([\d.]+,([\d.]+)\)"><rect[^>]* height="(\d+)"', figure
+        r'<g class="(legend\d*)"[^>]*translate\([\d.]+,([\d.]+)\)"><rect[^>]* height="(\d+)"',
+        figure,
     )
     assert len(legends) >= 5
     for name, top, height in legends:
@@ -345,7 +346,7 @@ def test_on_a_narrow_page_names_and_legends_cover_no_curve_and_nothing_is_cut(
     ]  # fmt: skip
     assert len(names) >= 4
     for k, (x, y, wide) in enumerate(names):
-        assert 0.0 <= x and x + wide <= width
+        assert x >= 0.0 and x + wide <= width
         others = [(a, w) for a, b, w in names[:k] if abs(b - y) < 10.0]
         assert all(x + wide <= a or a + w <= x for a, w in others)
 

@@ -21,7 +21,7 @@ from meshpoint.bus.options import (
 )
 from meshpoint.bus.profile import WireProfile
 from meshpoint.testbench.check.alive import SIGN_OF_LIFE, judge_alive
-from meshpoint.testbench.check.finding import Finding, Verdict, answer
+from meshpoint.testbench.check.finding import Finding, Verdict, answer, answer_words
 from meshpoint.testbench.check.interface import (
     GROUP,
     NO_CONTROLLER,

@@ -1,4 +1,5 @@
-"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, a log checked by bit-exact replay."""
+"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, and the log checked
+by bit-exact replay."""
 
 from __future__ import annotations
 
@@ -60,8 +61,9 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "demo",
         description="Starts controller and rig as two processes on a bus of their own (or on the "
-        "one given), asks for upshifts with the speed window of today and with phase control, prints one row "
-        "a shift, and checks its own log by bit-exact replay. -i virtual runs all in one process.",
+        "one given), asks for upshifts with the speed window of today and with phase control, "
+        "prints one row a shift, and checks its own log by bit-exact replay. -i virtual runs all "
+        "in one process.",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo"

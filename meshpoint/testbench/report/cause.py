@@ -93,8 +93,8 @@ def _missed(shift: ReportShift, sheet: GearboxSheet) -> str | None:
     aborts = sum(aborted_ms < at_ms for aborted_ms in shift.aborted_ms)
     after = {0: "", 1: ", after an abort"}.get(aborts, f", after {aborts} aborts")
     return (
-        f"Fired for {_expected(firing)} deg{after}, met a tooth at {met_deg:+.2f}{by} (the gap ends "
-        f"at ±{half_deg:.2f}): {_sum(parts)}."
+        f"Fired for {_expected(firing)} deg{after}, met a tooth at {met_deg:+.2f}{by} "
+        f"(the gap ends at ±{half_deg:.2f}): {_sum(parts)}."
     )
 
 

@@ -251,11 +251,15 @@ class ReportCollector:
         self._traces.forget(end_s - AFTER_S)
 
     def _firing(self, row: ShiftRow, message: ShiftPrediction) -> Firing:
-        times = (message.decision_time_us, message.fire_time_us, message.contact_time_us)
+        def ms(stamp_us: int) -> float:
+            return span_us(stamp_us, row.request_us) / 1000
+
         return Firing(
-            *(span_us(stamp, row.request_us) / 1000 for stamp in times),
-            message.phase_rad / DEG,
-            message.phase_sd_rad / DEG,
-            message.slip_rad_s / RPM,
-            self._beliefs.get(message.contact_time_us),
+            decided_ms=ms(message.decision_time_us),
+            fire_ms=ms(message.fire_time_us),
+            contact_ms=ms(message.contact_time_us),
+            phase_deg=message.phase_rad / DEG,
+            sd_deg=message.phase_sd_rad / DEG,
+            slip_rpm=message.slip_rad_s / RPM,
+            belief=self._beliefs.get(message.contact_time_us),
         )

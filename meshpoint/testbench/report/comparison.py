@@ -168,15 +168,14 @@ def verdict(runs: Mapping[str, Sequence[ShiftRow]]) -> str:
     both could; empty where there are no two such runs."""
     keyed = {name: _by_place(rows) for name, rows in runs.items()}
     aims = {name: summarise(name, list(rows)).aims for name, rows in runs.items()}
-    pair = [next((name for name in runs if aims[name] is way), None) for way in (True, False)]
-    if None in pair:
+    ours, others = (next((n for n in runs if aims[n] is way), None) for way in (True, False))
+    if ours is None or others is None:
         return ""
-    ours, others = (keyed[str(name)] for name in pair)
     both = [
-        (Outcome.of(vars(ours[place])), Outcome.of(vars(others[place])))
+        (Outcome.of(vars(keyed[ours][place])), Outcome.of(vars(keyed[others][place])))
         for place in sorted(_known(keyed))
     ]
-    return sentence(*(named(str(name)) for name in pair), len(both), by_pairs(both))
+    return sentence(named(ours), named(others), len(both), by_pairs(both))
 
 
 STRATEGY_WORDS: Final = {

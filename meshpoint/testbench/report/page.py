@@ -72,8 +72,9 @@ OVERVIEW: Final = """<div class="overview">
 <div><h3>Prediction against outcome, reference known</h3><div id="predictions"></div></div>
 </div>"""
 PARTS_WORDS: Final = (
-    "Degrees from the middle of the gap. What a prediction was off by is the sum of its parts: each "
-    "is what the truth about one belief changes, the others left as they were believed."
+    "Degrees from the middle of the gap. What a prediction was off by is the sum of its parts: "
+    "each is what the truth about one belief changes, the others left as they were believed; the "
+    "reference is the phase when it was planned, angles included."
 )
 VIEWER: Final = """<div class="bar"><h2 id="title"></h2>
 <button id="before">← previous</button><button id="after">next →</button></div>

@@ -56,4 +56,5 @@ class ShiftFigures:
     blocked: int = 0
     """Attempts in which sleeve and gear stuck tooth on tooth."""
     bound_ms: float | None = None
-    """The kinematic minimum of the duration; None where there is none, or what was drawn for the rig is not known."""
+    """The kinematic minimum of the duration; None where there is none, or what was drawn for the
+    rig is not known."""

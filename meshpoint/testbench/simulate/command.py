@@ -24,8 +24,8 @@ from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.logs.beliefs import Beliefs
+from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
 from meshpoint.testbench.loop.setup import Setup
