@@ -198,8 +198,8 @@ def test_no_shift_is_no_figure() -> None:
 
 def test_what_all_attempts_have_cost_is_in_the_row() -> None:
     given_up = contact(3.0, EngagementEvent.GIVEN_UP, at_us=60_000)._replace(
-        face_time_us=34_000, blocked=True
-    )
+        face_time_us=34_000, blocked=True, impact_energy_j=41.31
+    )  # of the gear before: nothing has locked here
     locked = contact(0.75, EngagementEvent.LOCKED, at_us=160_000)._replace(
         impact_energy_j=1.25, face_time_us=6_000, ratchets=2
     )

@@ -228,7 +228,11 @@ class _Meeting(NamedTuple):
                 on_face_us += span_us(event.event_time_us, since_us)
                 since_us = None
         return _Cost(
-            impact_j=sum(end.impact_energy_j for end in ends),
+            # A gear that has not locked has struck nothing; logs of an older rig have that of the old
+            # gear there, where the sleeve was pulled through.
+            impact_j=sum(
+                end.impact_energy_j for end in ends if end.event is EngagementEvent.LOCKED
+            ),
             impact_complete=self.is_over,
             face_ms=max(on_face_us, sum(end.face_time_us for end in ends)) / 1000,
             ratchets=sum(end.ratchets for end in ends),
