@@ -200,7 +200,7 @@ def shifts_table(rows: Iterable[ShiftRow]) -> pa.Table:
 
 def _shift_schema(pa: Any) -> pa.Schema:
     """The columns of `ShiftRow.to_json`, its parts (`phases`) behind the others."""
-    kinds = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    kinds = {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
     columns = {
         name.rstrip("_"): next(kind for plain, kind in kinds.items() if plain in _plain(given))
         for name, given in get_type_hints(ShiftRow).items()

@@ -38,7 +38,7 @@ class Command(NamedTuple):
 TRY, LIVE, BENCH = "try it", "nodes on a CAN bus", "a gearbox on the bench"
 LOGS, MANY, LOOK = "recorded logs", "many runs", "look up"
 COMMANDS: Final = {
-    "demo": Command(TRY, "both nodes live, both strategies; the log checked by bit-exact replay"),
+    "demo": Command(TRY, "both nodes live, both strategies; log checked by bit-exact replay"),
     "simulate": Command(TRY, "shifts in virtual time: one process, no waiting"),
     "play": Command(TRY, "a page on which you fire the sleeve yourself"),
     "fmu": Command(TRY, "the virtual gearbox as an FMU, for other simulators"),
