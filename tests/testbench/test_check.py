@@ -264,7 +264,8 @@ def test_a_classic_device_is_refused_at_the_start_and_the_reason_of_the_no(
     assert "dbitrate 2000000 dsample-point 0.8 fd on" in refusal
     assert "take one that has it" in refusal
     assert main(["check", *words]) == 1
-    assert capsys.readouterr().out.splitlines()[-1].startswith("NOT READY: open: can9 is set up for cla")
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("NOT READY: open: can9 is set up for cla")
 
 
 @pytest.fixture

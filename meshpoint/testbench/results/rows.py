@@ -228,8 +228,8 @@ class _Meeting(NamedTuple):
                 on_face_us += span_us(event.event_time_us, since_us)
                 since_us = None
         return _Cost(
-            # A gear that has not locked has struck nothing; logs of an older rig have that of the old
-            # gear there, where the sleeve was pulled through.
+            # A gear that has not locked has struck nothing; in logs of an older rig it has the old
+            # gear's impact, where the sleeve was pulled through.
             impact_j=sum(
                 end.impact_energy_j for end in ends if end.event is EngagementEvent.LOCKED
             ),
