@@ -126,7 +126,7 @@ class Prices:
     """The cost of a contact besides the time until it, in milliseconds (docs/strategy.md)."""
 
     miss_s: float = quantity("miss_ms", 0.0, 10_000.0, 1e-3, default=0.6)
-    """Tooth on tooth, or thrown back by a flank: waiting for the next gap, going back for another
+    """Tooth on tooth, or bounced off by a flank: waiting for the next gap, going back for another
     attempt, and the wear."""
     block_s: float = quantity("block_ms", 0.0, 10_000.0, 1e-3, default=0.2)
     """Added to a miss if the slip is too small to carry the tooth to a gap, so that the sleeve is

@@ -12,8 +12,11 @@ from patience import HANG_S
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
-def browse(url: str, folder: Path, milliseconds: int = 5000) -> tuple[str, list[str]]:
-    """The page after so much of the browser's own time, and what its console said."""
+def browse(
+    url: str, folder: Path, milliseconds: int = 5000, width: int = 1400
+) -> tuple[str, list[str]]:
+    """The page after so much of the browser's own time, and what its console said. A browser makes
+    no window narrower than 500."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         pytest.skip(f"no browser to open the page in: none of {', '.join(BROWSERS)} is here")
@@ -21,7 +24,8 @@ def browse(url: str, folder: Path, milliseconds: int = 5000) -> tuple[str, list[
         [
             browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
             f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND",
-            f"--virtual-time-budget={milliseconds}", "--window-size=1400,2400", "--dump-dom", url,
+            f"--virtual-time-budget={milliseconds}", f"--window-size={width},2400",
+            "--dump-dom", url,
         ],
         capture_output=True, text=True, timeout=HANG_S, check=True,
     )  # fmt: skip

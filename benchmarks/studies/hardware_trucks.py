@@ -208,8 +208,8 @@ def compared(given: Given[Any]) -> Compared:
     )
     columns = (
         "equipment", "shifts", "first in a gap", "95 %, from", "to", "after the ramp, ms",
-        "p99, ms", "impact, J", "thrown back", "second attempts", "aborts", "unmeant contacts",
-        "given up",
+        "p99, ms", "impact, J", "bounced off", "second attempts", "aborts", "unmeant contacts",
+        "not engaged",
     )  # fmt: skip
     rows = tuple((name, *_row(strategies[name])) for name in names)
     title = (
@@ -253,7 +253,7 @@ def _said(found: dict[str, Any]) -> str:
         f"{gap['rate']:.3f} ({_interval(gap['ci95'], '.3f')}) of {found['shifts']} first contacts "
         f"in a gap, {_figure(found['after_ramp_ms']['mean'], '.0f')} ms after the ramp, "
         f"{impact['mean']:.2f} J ({_interval(impact['mean_ci95'], '.2f')}), {found['aborts']} "
-        f"aborts, {found['unmeant']} unmeant contacts, {found['given_up']} given up"
+        f"aborts, {found['unmeant']} unmeant contacts, {found['given_up']} not engaged"
     )
 
 

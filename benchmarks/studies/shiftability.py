@@ -161,7 +161,7 @@ def _falls(clean: list[float], rpm: list[float]) -> Statement:
         f"{rpm[-1]:.0f} rpm",
         ThesisVerdict.AGREES if falls and clean[-1] < clean[0] else ThesisVerdict.DIFFERS,
         "while the sleeve moves through the overlap the tooth moves on toward the flank; phases "
-        "are spread evenly, so by luck the gap's share of the pitch is the most",
+        "are spread evenly, so by chance the gap's share of the pitch is the most",
     )
 
 
@@ -208,7 +208,7 @@ def _chart(
     limit = Line("base, closed form", rpm, [100.0 * v for v in closed], Style.DASHED)
     return Chart(
         "shiftability",
-        "Probability of engagement by luck, phase spread evenly",
+        "Probability of engagement by chance, phase spread evenly",
         "slip at contact, rpm",
         (
             Panel("first pass without impact, %", (*lines(clean), limit)),

@@ -19,6 +19,8 @@ from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus, Message
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
+from meshpoint.testbench.logs.beliefs import Beliefs
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
@@ -135,10 +137,15 @@ class Log:
         gearbox: PathLike | GearboxSheet | None = None,
     ) -> Path:
         """Writes a page with every shift's traces (HTML, offline), and returns where. gearbox: as
-        in `shifts`."""
+        in `shifts`. Where the run header is there, the controller is repeated to say why a shift
+        missed its gap, which takes about as long as `meshpoint replay`."""
         sheet, settings = self._sheet(gearbox)
+        beliefs = Beliefs()
+        if gearbox is None:
+            replay = LogReplay(self._headers, verify=False, on_step=beliefs.look)
+            replay.run(frame for _, frame in self)
         collector = ReportCollector(
-            sheet, settings.aim.target_rad(sheet.dog.backlash_rad), settings
+            sheet, settings.aim.target_rad(sheet.dog.backlash_rad), settings, beliefs
         )
         for _, frame in self:
             collector.receive(frame)
@@ -193,7 +200,7 @@ def shifts_table(rows: Iterable[ShiftRow]) -> pa.Table:
 
 def _shift_schema(pa: Any) -> pa.Schema:
     """The columns of `ShiftRow.to_json`, its parts (`phases`) behind the others."""
-    kinds = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    kinds = {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
     columns = {
         name.rstrip("_"): next(kind for plain, kind in kinds.items() if plain in _plain(given))
         for name, given in get_type_hints(ShiftRow).items()

@@ -30,8 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_parsed(parse: Callable[[], argparse.Namespace]) -> int:
-    """Runs what was asked for on a command line; returns its exit code. Words that find no room on
-    standard error end nothing; that they are missing makes of exit code 0 a 1.
+    """Runs what was asked for on a command line; returns its exit code. Lines that
+    cannot be written to standard error end nothing; that they are missing makes of exit code 0 a 1.
 
     The namespace has `run`, which is called with it, `program` for the errors, and `debug`."""
     with lasting_error() as said:

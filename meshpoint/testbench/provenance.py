@@ -32,5 +32,6 @@ def gearbox_words(
     """Which gearbox a result is of, as titles say it. as_built: the values that were fixed."""
     if preset is Preset.THESIS:
         return f"sheet {sheet.name}, preset thesis"
-    fixed = f", values fixed: {len(as_built)}" if as_built else ""
+    values = "value" if len(as_built) == 1 else "values"
+    fixed = f", {len(as_built)} as-built {values} overridden" if as_built else ""
     return f"sheet {sheet.name}, profile {profile}{fixed}"

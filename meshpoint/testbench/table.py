@@ -16,7 +16,7 @@ EXIT_CODES: Final = """\
 exit codes:
   0    done
   1    ran, but failed: a shift that did not end, a replay that differs, a log,
-       a record or words of a node for which there was no room
+       a record or other output that could not be written (disk full)
   2    bad input: what was found and what is allowed is on standard error
   3    not verifiable (replay), with the reason
   4    not decided (campaign --against): more runs are needed
@@ -38,7 +38,7 @@ class Command(NamedTuple):
 TRY, LIVE, BENCH = "try it", "nodes on a CAN bus", "a gearbox on the bench"
 LOGS, MANY, LOOK = "recorded logs", "many runs", "look up"
 COMMANDS: Final = {
-    "demo": Command(TRY, "both nodes live, both strategies: table, picture, verified log"),
+    "demo": Command(TRY, "both nodes live, both strategies; log checked by bit-exact replay"),
     "simulate": Command(TRY, "shifts in virtual time: one process, no waiting"),
     "play": Command(TRY, "a page on which you fire the sleeve yourself"),
     "fmu": Command(TRY, "the virtual gearbox as an FMU, for other simulators"),

@@ -278,6 +278,7 @@ class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
         phase = self._truck.shafts.phase_rad(gear)
         slip = self._plant.slip_rad_s(gear)
         self._note(EngagementEvent.RELEASED, gear, phase, slip)
+        self._tallies[name] = Tally()  # it may be pulled through onto the other gear, unfired
         self.sleeves[name].unmesh()
         self._truck.unwatch(ROW_OF_SLEEVE[name])
         self._truck.coast()

@@ -2,7 +2,7 @@
 
 As `shared.sleeves` has it, and beyond:
 
-* ENTER may be thrown back before the overlap that holds is reached: EJECTED, to FACE, at rest.
+* ENTER may be bounced off before the overlap that holds is reached: EJECTED, to FACE, at rest.
 * RETRACT out of a loaded flank waits, while friction and back taper hold more than the force:
   F < (mu + tan beta) |T| / r.
 * A jammed sleeve stays where it is.

@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
 
     @property
     def clean(self) -> bool:
-        """Whether it entered a gap at first contact and locked without being thrown back."""
+        """Whether it entered a gap at first contact and locked without being bounced off."""
         gap = self.contact.event is EngagementEvent.GAP_CONTACT
         return gap and self.locked is not None and self.locked.tally.ratchets == 0
 

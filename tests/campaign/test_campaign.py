@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from concurrent.futures import Future
+from html import escape
 from pathlib import Path
 from typing import Any, cast
 
@@ -75,6 +76,49 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         known_from = sum(figures["reference_sources"].values())
         assert strategy == "true_state" or known_from == pytest.approx(figures["reference_known"])
     assert "target_phase/speed_window" in values["ratios"]
+
+
+def test_one_sentence_says_whether_the_strategy_named_last_is_better(by_one: Outcome) -> None:
+    """As measured: two runs tell nothing beyond chance."""
+    verdict, strategies = by_one.values["verdict"], by_one.values["strategies"]
+    assert verdict.startswith("On the same 2 shifts phase control ")
+    for key, unit, digits in (("duration_ms", "ms", 0), ("impact_j", "J", 2)):
+        means = [strategies[name][key]["mean"] for name in ("target_phase", "speed_window")]
+        if any(means):
+            told = f"{means[0]:.{digits}f} instead of {means[1]:.{digits}f} {unit}"
+            assert told in verdict
+    assert escape(verdict) in (by_one.folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("impact_j", "words"),
+    [
+        (1.0, "is better than the speed window (today) in first contact in a gap and worse in imp"),
+        (0.1, "is better than the speed window (today): first contact in a gap 100.0 instead of "),
+    ],
+)
+def test_the_sentence_has_the_sign_that_was_measured(impact_j: float, words: str) -> None:
+    """20 runs, each alike: every difference is beyond chance, whichever way it goes."""
+    records = [
+        judged_shift(seed=seed, strategy=name, duration_ms=400.0, contact=contact, impact_j=j)
+        for seed in range(20)
+        for name, contact, j in (
+            ("speed_window", "gap" if seed % 5 == 0 else "tooth", 0.5),
+            ("target_phase", "gap", impact_j),
+        )
+    ]
+    verdict = summarise(Shifts.of(records), ("speed_window", "target_phase"))["verdict"]
+    assert verdict.startswith(f"On the same 20 shifts phase control {words}")
+    assert "time 400 instead of 400 ms;" in verdict
+
+
+def test_shifts_whose_impact_is_not_complete_are_counted() -> None:
+    records = [
+        judged_shift(seed=seed, strategy="target_phase", impact_complete=seed > 2)
+        for seed in range(8)
+    ]
+    figures = summarise(Shifts.of(records), ("target_phase",))["strategies"]["target_phase"]
+    assert CELLS["impact incomplete"](figures) == "3"
 
 
 def test_shifts_with_an_abort_and_aborts_in_all_are_figures_of_each_strategy() -> None:

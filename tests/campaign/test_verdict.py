@@ -201,6 +201,23 @@ def test_shifts_that_meet_the_gap_as_before_but_are_slower_or_harder_are_worse(
     assert words in failure.attrib["message"]
 
 
+def test_impacts_that_an_older_version_counted_otherwise_are_not_judged(
+    made: Path, judge: Judge, tmp_path: Path
+) -> None:
+    """It counted them up to the shift's end: a gear that locks later has impacts now alone."""
+    table = made / "after" / "shifts.parquet"
+    rows = many(table, 100, lambda _run, _shift: "gap")
+    after = [row | {"impact_j": 2.0} for row in rows]
+    old = [{k: v for k, v in row.items() if k != "impact_complete"} for row in rows]
+    older = tmp_path / "old" / "shifts.parquet"
+    older.parent.mkdir()
+    pq.write_table(pa.Table.from_pylist(old), older)
+    code, values = judge(None, after, "--against", str(older.parent))
+    assert (code, values["against"]["verdict"]) == (Exit.DONE, "not worse")
+    assert values["against"]["judged"]["impact_j"]["verdict"].startswith("not judged: the version")
+    assert "| impact at contact | not judged: the version before" in (tmp_path / "x.md").read_text()
+
+
 def test_a_margin_says_how_much_slower_is_worse(made: Path, judge: Judge) -> None:
     before = many(made / "after" / "shifts.parquet", 100, lambda _run, _shift: "gap")
     after = [row | {"duration_ms": 1.04 * row["duration_ms"]} for row in before]

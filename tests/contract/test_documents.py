@@ -47,15 +47,15 @@ def test_every_python_file_it_names_exists(document: Path) -> None:
     assert missing == []
 
 
-def test_the_walk_names_the_files_of_its_rooms() -> None:
-    """In the table of docs/frame_to_valve.md a bare name is of the room named last."""
+def test_the_walk_names_the_files_of_its_stages() -> None:
+    """In the table of docs/frame_to_valve.md a bare name is of the stage named last."""
     text = (ROOT / "docs" / "frame_to_valve.md").read_text(encoding="utf-8")
-    table = text[text.index("| room |") : text.index("## How long it takes")]
-    room, named = ROOT, []
+    table = text[text.index("| stage |") : text.index("## How long it takes")]
+    stage, named = ROOT, []
     for row in table.splitlines():
         folder = re.match(r"\| `([\w/]+)/` \|", row)
-        room = ROOT / folder.group(1) if folder else room
-        named += [room / name for name, _ in PY_NAME.findall(row) if "/" not in name]
+        stage = ROOT / folder.group(1) if folder else stage
+        named += [stage / name for name, _ in PY_NAME.findall(row) if "/" not in name]
     assert len(named) > 40
     assert [str(path) for path in named if not path.is_file()] == []
 

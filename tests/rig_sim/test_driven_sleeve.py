@@ -244,3 +244,24 @@ def test_a_pure_delay_has_no_chambers() -> None:
     truck = world(linear(), SHEET)
     with pytest.raises(ValueError, match="pure delay"):
         truck.truth.axis(NAME, 0.0)
+
+
+def test_a_sleeve_pulled_through_onto_the_other_gear_brings_no_impact_of_the_old_one() -> None:
+    """Nobody has fired it: what it strikes there is not what it struck when the old gear locked."""
+    truck = world(STEADY, SHEET)
+    run(truck, 100_000)
+    truck.return_to_gear(8, 60.0, 100_000)
+    run(truck, 2_000_000)
+    struck = [e for e in truck.engagement.engaged if e.event is EngagementEvent.LOCKED]
+    assert struck[-1].gear is MainGear.FIRST
+    assert struck[-1].tally.impact_j > 1.0
+    truck.command_clutch(False, 2_000_000)
+    switch(truck, Valve.MAIN_SECOND, True, 2_300_000.0)
+    switch(truck, Valve.MAIN_SECOND, False, 2_400_000.0)
+    switch(truck, Valve.MAIN_FIRST, True, 2_400_000.0)  # before it locks: off the teeth again
+    run(truck, 3_000_000)
+    beyond = [e for e in truck.engagement.engaged if e.gear is MainGear.SECOND]
+    assert {e.event for e in beyond} & set(CONTACTS)
+    before_lock = [e for e in beyond if e.event is not EngagementEvent.LOCKED]
+    assert [e.tally.impact_j for e in before_lock] == [0.0] * len(before_lock)
+    assert EngagementEvent.GIVEN_UP in {e.event for e in before_lock}

@@ -100,7 +100,7 @@ def test_each_line_has_intervals_beside_today_s_and_says_what_it_risks(tmp_path:
     assert len(found.statements) == 4
     for statement in found.statements:
         assert statement.ours.count("0.500 (") == 2  # ours and today's, with their intervals
-        assert "6 aborts, 3 unmeant contacts, 0 given up" in statement.ours
+        assert "6 aborts, 3 unmeant contacts, 0 not engaged" in statement.ours
         assert statement.reason.startswith("risk: ")
     assert [row[0] for row in found.table.rows] == list(Equipment)
     written = write_files(Finding((), {}, (found.chart,), (found.table,)), tmp_path)

@@ -264,7 +264,8 @@ def test_a_classic_device_is_refused_at_the_start_and_the_reason_of_the_no(
     assert "dbitrate 2000000 dsample-point 0.8 fd on" in refusal
     assert "take one that has it" in refusal
     assert main(["check", *words]) == 1
-    assert capsys.readouterr().out.splitlines()[-1].startswith("no: open: can9 is set up for cla")
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("NOT READY: open: can9 is set up for cla")
 
 
 @pytest.fixture
@@ -307,7 +308,7 @@ def test_a_node_is_alive_whose_status_is_heard_and_no_other(
     with live(tmp_path, "rig", *bus, "--gearbox", "truck12") as rig:
         rig.until_said("on meshpoint channel")
         until(lambda: main(["check", "--alive", "rig", *bus]) == 0, "a rig at work")
-        assert "yes: " in capsys.readouterr().out
+        assert "READY (" in capsys.readouterr().out
         words = ["check", "--alive", "controller", *bus, "--seconds", "0.3", "--json", "-"]
         assert main(words) == 1
         record = json.loads(capsys.readouterr().out)

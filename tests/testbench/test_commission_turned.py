@@ -112,7 +112,7 @@ def test_the_law_of_the_sleeves_is_told_and_goes_into_the_calibration(turned) ->
     """Delays of a box around 51 ms: its data sheet, withheld, has 45."""
     sheet, core, _ = turned
     found = commissioned(core, withheld(TRUCK), "0", "2026-01-01T00:00:00Z")
-    delays_ms = [one.value for one in found.sleeve_law if one.name.endswith("by its law")]
+    delays_ms = [one.value for one in found.sleeve_law if one.name.endswith("actuator model")]
     assert delays_ms
     assert abs(np.median(delays_ms) - 1e3 * sheet.sleeve.delay_s) < 3.0
     assert found.calibration is not None

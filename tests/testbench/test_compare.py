@@ -90,6 +90,25 @@ def test_records_differ_shift_by_shift(runs: Runs, tmp_path: Path) -> None:
     assert values["shifts"] == sorted({".".join(path.split(".")[:2]) for path in expected})
 
 
+def test_two_records_of_the_same_shifts_say_which_was_better(tmp_path: Path) -> None:
+    """Of a strategy of one's own beside ours: `simulate --json` of both."""
+    for name, contact, duration in (("a", "tooth", 500.0), ("b", "gap", 450.0)):
+        rows = [
+            {"from": 8, "to": 10, "result": "engaged", "contact": contact,
+             "duration_ms": duration + k, "impact_j": 1.0}
+            for k in range(6)
+        ]  # fmt: skip
+        (tmp_path / f"{name}.json").write_text(json.dumps({"shifts": rows}))
+    words = str(tmp_path / "a.json"), str(tmp_path / "b.json")
+    assert compared(tmp_path, *words)[1]["verdict"] == (
+        "On the same 6 shifts B is better than A: first contact in a gap 6 instead of 0 of 6 "
+        "(better, beyond chance); time 452 instead of 502 ms (better, beyond chance); impact 1.00 "
+        "instead of 1.00 J."
+    )
+    (tmp_path / "b.json").write_text(json.dumps({"shifts": rows[1:]}))
+    assert compared(tmp_path, *words)[1]["verdict"] == ""
+
+
 def test_tolerances_and_ignored_fields_decide(tmp_path: Path) -> None:
     for name, duration, version in (("a", 400.0, "1"), ("b", 404.0, "2")):
         row = {"duration_ms": duration, "slip_rpm": 20.0, "contact": "gap"}

@@ -18,7 +18,7 @@ from drawn_sleeve import NARROW, DrawnSleeve
 from sleeve_bench import SleeveBench
 
 SHEET = load_sheet("truck12")
-LAW = ("sleeve valve {} on delay", "sleeve valve {} off delay", "sleeve delay {} by its law",
+LAW = ("sleeve valve {} on delay", "sleeve valve {} off delay", "sleeve delay {}, actuator model",
        "sleeve delay {} per bar of supply", "sleeve detent {}",
        "sleeve stopping distance {}")  # fmt: skip
 
@@ -40,7 +40,7 @@ def test_the_law_that_was_learned_is_told_with_intervals() -> None:
     found = told(content)
     truths = {
         "sleeve valve second on delay": 1e3 * sleeve.on_s[0],
-        "sleeve delay second by its law": sum(delays_ms) / len(delays_ms),
+        "sleeve delay second, actuator model": sum(delays_ms) / len(delays_ms),
         "sleeve detent second": 0.0,
     }
     for name, truth in truths.items():
@@ -55,9 +55,8 @@ def test_the_law_that_was_learned_is_told_with_intervals() -> None:
     stops = found.figure("sleeve stopping distance second")
     assert stops.value is not None
     assert 0.5 < stops.value < 1e3 * SHEET.sleeve.to_contact_m
-    assert (
-        found.figure("sleeve delay third by its law").why == "this sleeve did not move in the log"
-    )
+    unmoved = found.figure("sleeve delay third, actuator model")
+    assert unmoved.why == "this sleeve did not move in the log"
     assert found.figure("sleeve delay by temperature").why
 
 

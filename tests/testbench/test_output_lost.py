@@ -1,4 +1,4 @@
-"""What a command does whose output finds no room, or no reader."""
+"""What a command does whose output cannot be written, or has no reader."""
 
 from __future__ import annotations
 

@@ -311,3 +311,50 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert "target_phase, shift 4: gear 10 to 12, tooth met gap" in drawn
     assert drawn.count("main-svg") >= 3
     assert 'id="shift-1-4" class="chosen"' in drawn
+
+
+@pytest.mark.device
+def test_on_a_narrow_page_names_and_legends_cover_no_curve_and_nothing_is_cut(
+    simulated: tuple[Report, list[ShiftRow]], tmp_path: Path
+) -> None:
+    pytest.importorskip("plotly")
+    path = tmp_path / "report.html"
+    write_report(path, simulated[0])
+    width = 500
+    shown, console = browse(f"{path.as_uri()}#shift-1-4", tmp_path, width=width)
+    assert console == []
+    drawn = re.sub(r"<script.*?</script>", "", shown, flags=re.DOTALL)
+    figure = drawn[drawn.index('id="figure"') :]
+    assert "modebar-group" not in figure, "icons lie over the names of moments"
+    panels = {
+        name.replace("xy", "legend"): float(top)
+        for name, top in re.findall(r'data-subplot="(xy\d*)" x="[\d.]+" y="([\d.]+)"', figure)
+    }
+    legends = re.findall(
+        r'<g class="(legend\d*)"[^>]*translate\([\d.]+,([\d.]+)\)"><rect[^>]* height="(\d+)"',
+        figure,
+    )
+    assert len(legends) >= 5
+    for name, top, height in legends:
+        assert float(top) + float(height) <= panels[name] + 1.0, name
+    names = [
+        (float(x), float(y), float(wide))
+        for x, y, wide in re.findall(
+            r'<g class="cursor-pointer" transform="translate\(([-\d.]+),([-\d.]+)\)">'
+            r'<rect class="bg" x="[\d.]+" y="[\d.]+" width="([\d.]+)"', figure
+        )
+    ]  # fmt: skip
+    assert len(names) >= 4
+    for k, (x, y, wide) in enumerate(names):
+        assert x >= 0.0 and x + wide <= width
+        others = [(a, w) for a, b, w in names[:k] if abs(b - y) < 10.0]
+        assert all(x + wide <= a or a + w <= x for a, w in others)
+
+
+def test_a_bound_does_not_go_on_across_a_hole(data: dict[str, Any]) -> None:
+    """Plotly's fill would: the spread of a prediction that is not there."""
+    for figure in data["shifts"].values():
+        for trace in figure["data"]:
+            if trace.get("fill") == "tonexty":
+                assert None not in trace["x"]
+                assert max(np.diff(trace["x"]), default=0.0) <= 50.0

@@ -198,8 +198,8 @@ def test_no_shift_is_no_figure() -> None:
 
 def test_what_all_attempts_have_cost_is_in_the_row() -> None:
     given_up = contact(3.0, EngagementEvent.GIVEN_UP, at_us=60_000)._replace(
-        face_time_us=34_000, blocked=True
-    )
+        face_time_us=34_000, blocked=True, impact_energy_j=41.31
+    )  # of the gear before: nothing has locked here
     locked = contact(0.75, EngagementEvent.LOCKED, at_us=160_000)._replace(
         impact_energy_j=1.25, face_time_us=6_000, ratchets=2
     )
@@ -218,3 +218,52 @@ def test_time_on_the_face_comes_from_the_events_where_there_is_no_tally() -> Non
         outcome(),
     )
     assert row.face_ms == 12.0
+
+
+def struck(
+    impact_j: float, at_us: int, event: EngagementEvent = EngagementEvent.LOCKED
+) -> ReferenceEngagement:
+    """The flanks of gear 10 meet, or part: the shift of `outcome` has ended at 100,000 us."""
+    return contact(0.75, event, at_us=at_us)._replace(impact_energy_j=impact_j, ratchets=1)
+
+
+def test_a_gear_that_locks_after_its_shift_has_ended_counts_with_all_it_cost() -> None:
+    """The position sensor has measured the sleeve in; the tooth meets its flank 20 ms later."""
+    rows = rows_of(contact(0.1), outcome(), struck(1.25, 120_000), struck(9.0, 130_000))
+    (row,) = rows
+    assert (row.impact_j, row.ratchets, row.impact_complete) == (1.25, 1, True)
+
+
+def test_the_way_back_of_the_bench_into_the_same_gear_is_no_impact_of_the_shift() -> None:
+    """10 -> 12 begins in the gear that 8 -> 10 has engaged: the bench pulls it out and puts it in
+    again, and gear and sleeve had not locked before that."""
+    released = struck(0.0, 300_000, EngagementEvent.RELEASED)
+    back = contact(0.0, at_us=320_000), struck(16.7, 330_000)
+    (row,) = rows_of(contact(0.1), outcome(), released, *back)
+    assert (row.impact_j, row.impact_complete) == (0.0, False)
+    (row,) = rows_of(contact(0.1), outcome(), contact(0.0, EngagementEvent.READY), *back)
+    assert (row.impact_j, row.impact_complete) == (0.0, False)
+
+
+@pytest.mark.parametrize(("after_us", "impact_j"), [(400_000, 1.25), (400_001, 0.0)])
+def test_a_row_waits_400_ms_for_its_gear_to_lock_and_says_where_that_was_not_enough(
+    after_us: int, impact_j: float
+) -> None:
+    (row,) = rows_of(contact(0.1), outcome(), struck(1.25, 100_000 + after_us))
+    assert (row.impact_j, row.impact_complete) == (impact_j, impact_j > 0.0)
+
+
+def test_what_the_next_shift_costs_is_not_the_last_ones() -> None:
+    first, second = rows_of(
+        contact(0.1), outcome(), contact(0.1, gear=MainGear.THIRD),
+        struck(2.0, 200_000)._replace(gear=MainGear.THIRD), outcome(from_gear=10, to_gear=12),
+    )  # fmt: skip
+    assert (first.impact_j, first.impact_complete) == (0.0, False)
+    assert (second.impact_j, second.impact_complete) == (2.0, True)
+
+
+def test_a_sleeve_that_is_back_or_never_met_its_gear_has_nothing_to_wait_for() -> None:
+    back = contact(3.0, EngagementEvent.GIVEN_UP, at_us=60_000)
+    failed = outcome(result=ShiftResult.ENDED_IN_NEUTRAL)
+    for row in (*rows_of(contact(3.0), back, failed), *rows_of(outcome())):
+        assert row.impact_complete

@@ -109,7 +109,7 @@ def campaign_values() -> dict[str, Any]:
         "shifts": 2_000_000,
         "first_contact_gap": {"rate": 0.9912, "ci95": [0.9861, 0.9945]},
         "duration_ms": span,
-        "impact_j": span,
+        "impact_j": span | {"incomplete": 2_000_000},
         "slip_rpm_mean": -123.4,
         "phases_ms": dict.fromkeys(PARTS, 12_436.7),
         "bound_ms": 12_436.0,
@@ -131,6 +131,7 @@ def campaign_values() -> dict[str, Any]:
         "runs": 1_000_000,
         "strategies": dict.fromkeys(STRATEGIES, figures),
         "ratios": {f"{a}/{b}": dict.fromkeys(keys, ratio) for a, b in pairs},
+        "verdict": "",
     }
 
 
@@ -160,7 +161,7 @@ def judged(strategy: str) -> JudgedRow:
     return JudgedRow(replace(ROW, strategy=strategy), shift)
 
 
-GEARBOX = "sheet truck12, profile typical, values fixed: 3"
+GEARBOX = "sheet truck12, profile typical, 3 as-built values overridden"
 TABLES: dict[str, Callable[[], Table]] = {
     "results.output.rows_table": lambda: rows_table("title", [ROW]),
     "report.comparison.comparison_table": lambda: comparison_table(

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from meshpoint.testbench.campaign.record import GAP, JudgedShift
 from meshpoint.testbench.campaign.store import PARTS, SHIFTS_FILE
-from meshpoint.testbench.campaign.stored import read_columns
+from meshpoint.testbench.campaign.stored import column_names, read_columns
 from meshpoint.testbench.campaign.sweep import BASE_POINT
 from meshpoint.testbench.campaign.verdict import PairedRun
 from meshpoint.testbench.errors import CommandError
@@ -18,8 +18,11 @@ DRAWN: Final = (
     "supply_offset_bar",
 )  # fmt: skip
 """What a run draws: the same before and after, or the two are no pair."""
-RATIOS: Final = ("duration_ms", "impact_j")
+IMPACT: Final = "impact_j"
+RATIOS: Final = ("duration_ms", IMPACT)
 """Figures of a shift that are judged by their ratio, beside the share of gaps."""
+TO_THE_LOCK: Final = "impact_complete"
+"""Tables without this column have impacts up to the shift's outcome, not up to the gear's lock."""
 
 
 class Outcome(NamedTuple):
@@ -27,7 +30,8 @@ class Outcome(NamedTuple):
 
     is_gap: bool
     duration_ms: float | None
-    impact_j: float
+    impact_j: float | None
+    """None in a table of an older product, which counted impacts otherwise."""
     drawn: tuple[Any, ...]
 
 
@@ -69,9 +73,11 @@ def read_outcomes(tables: Iterable[Path], strategy: str) -> dict[int, dict[int, 
         columns = read_columns(
             table, ("sweep", "strategy", "seed", "shift", "contact", *RATIOS, *DRAWN)
         )
+        counts_to_the_lock = TO_THE_LOCK in column_names(table)
         for sweep, name, seed, shift, contact, time_ms, j, *drawn in zip(*columns, strict=True):
             if (sweep, name) == (BASE_POINT.name, strategy):
-                outcome = Outcome(contact == GAP, time_ms, j, tuple(drawn))
+                impact_j = j if counts_to_the_lock else None
+                outcome = Outcome(contact == GAP, time_ms, impact_j, tuple(drawn))
                 found.setdefault(seed, {})[shift] = outcome
     return found
 

@@ -36,7 +36,7 @@ from meshpoint.testbench.loop.bench_builder import Onlooker, virtual_bench
 from meshpoint.testbench.loop.pauses import Pauses, pauses_of
 from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.rows import LOCK_WAIT_US, ShiftRow
 from meshpoint.testbench.version import product_version
 
 LOCKED_US: Final = 100_000
@@ -50,8 +50,6 @@ look, and the clutch closes meanwhile, which it would else do in the old gear.""
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
-CLOSING_US: Final = 400_000
-"""The clutch's plates have met this long after a shift's end, or there are none."""
 UNREAD: Final = frozenset((ControllerEstimates, ETC1, ReferenceEncoder, ReferencePhase))
 """What these say nobody acts on here, they are for logs: the engine listens to ETC1, whatever it
 says."""
@@ -156,13 +154,17 @@ class ClosedLoop:
         self._run(lambda: len(rows) > before or bench.index > made)
         self._made += 1
         if len(rows) > before:
-            self._until_the_plates_meet(rows)
+            self._until_the_row_is_complete(rows)
         return rows[-1] if len(rows) > before else None
 
-    def _until_the_plates_meet(self, rows: list[ShiftRow]) -> None:
-        """Goes on until the last row says how long the clutch took after the shift, if it can."""
-        give_up_us = self._driver.now_us + CLOSING_US
-        self._driver.run(lambda: rows[-1].phases.closing_ms is not None, give_up_us)
+    def _until_the_row_is_complete(self, rows: list[ShiftRow]) -> None:
+        """Goes on until the gear of the last row has locked and the clutch's plates have met, if
+        they do."""
+
+        def is_complete() -> bool:
+            return rows[-1].impact_complete and rows[-1].phases.closing_ms is not None
+
+        self._driver.run(is_complete, self._driver.now_us + LOCK_WAIT_US)
 
     def _run(self, until: Callable[[], bool]) -> None:
         limit_us = self._driver.now_us + LIMIT_US_PER_SHIFT

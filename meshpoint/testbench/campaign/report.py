@@ -45,6 +45,7 @@ def write_report(
         f"<h1>{escape(title)}</h1>",
         f"<p>{escape(_subtitle(spec))}</p>",
         *_size(values["runs"]),
+        f'<p class="headline">{escape(values["verdict"])}</p>' if values["verdict"] else "",
         "<h2>Strategies</h2>",
         _strategies(values),
         "<h2>Where the milliseconds go</h2>",

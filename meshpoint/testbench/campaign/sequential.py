@@ -2,7 +2,7 @@
 
 The interval of a paired figure is made of the runs' own means, as runs are what is drawn (Student's
 t over runs; Cochran 1977, ch. 9, for the ratio). Where one of two gap rates is integrated
-(`estimate`), nearly all of the luck is in the other one, which misses seldom, in few of the runs:
+(`estimate`), nearly all of the chance is in the other one, which misses seldom, in few of the runs:
 that one has an interval of its own (`clustered_rate`), and both make the interval of difference or
 ratio (MOVER; Donner and Zou 2012).
 
@@ -112,7 +112,7 @@ def estimate(
 
     A strategy that is blind to the phase meets it as it comes, evenly spread over the pitch: each
     contact then counts by the share of phases at which it would have been in a gap, which has the
-    same mean and none of the luck. plain: it counts as it was."""
+    same mean and none of the chance. plain: it counts as it was."""
     seeds, run = np.unique(shifts.column("seed"), return_inverse=True)
     integrated = [goal.figure == GAP and not plain and is_blind(name) for name in (strategy, other)]
     sums = []

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
-from meshpoint.testbench.campaign.baseline import Baseline, paired_runs, paired_sums
+from meshpoint.testbench.campaign.baseline import IMPACT, Baseline, paired_runs, paired_sums
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.paired_ratio import PairedRatio, paired_ratio
 from meshpoint.testbench.campaign.sequential import (
@@ -21,6 +21,10 @@ from meshpoint.testbench.campaign.sequential import (
 from meshpoint.testbench.campaign.spec import is_blind
 from meshpoint.testbench.campaign.verdict import Comparison, Verdict
 from meshpoint.testbench.campaign.verdict import looks as paired_looks
+
+NOT_JUDGED: Final = (
+    "not judged: the version before counted impacts up to the shift's end, not to the gear's lock"
+)
 
 
 class Stopping(Protocol):
@@ -124,7 +128,7 @@ class Against:
         """`strategies`: the controller's own before and now; `margin`: of the share of gaps;
         `margins`: of the figures judged by their ratio; `seeds`: of all runs, in order."""
         self._baseline, self._own = baseline, strategies
-        self._seeds, self._margins = seeds, margins
+        self._seeds, self._margins = seeds, dict(margins)
         self.comparison = Comparison(margin)
         self.ratios: dict[str, PairedRatio] = {}
         self._taken = 0
@@ -147,6 +151,8 @@ class Against:
         self._taken = len(runs)
         self.comparison.look()
         sums = paired_sums(before, own)
+        if all(outcome.impact_j is None for outcome in outcomes):
+            self._margins.pop(IMPACT, None)
         self.ratios = {
             figure: paired_ratio(sums[figure], margin) for figure, margin in self._margins.items()
         }
@@ -164,6 +170,8 @@ class Against:
         before, after = self._own
         judged = {GAP: {"verdict": self.comparison.verdict.value}}
         judged |= {figure: ratio.to_json() for figure, ratio in self.ratios.items()}
+        if IMPACT not in self._margins:
+            judged[IMPACT] = {"verdict": NOT_JUDGED}
         return {
             "against": {
                 "reference": self._baseline.name,

@@ -122,3 +122,11 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
         raise CommandError(str(error)) from error
     except (OSError, KeyError, pa.ArrowException) as error:
         raise CommandError(f"{path}: not a table of a campaign: {error}") from error
+
+
+def column_names(path: Path) -> frozenset[str]:
+    """The columns of a table that `read_columns` has read."""
+    import pyarrow.parquet as pq
+
+    with open_regular(path) as source:
+        return frozenset(pq.read_schema(source).names)

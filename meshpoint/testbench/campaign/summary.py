@@ -26,6 +26,7 @@ from meshpoint.testbench.campaign.intervals import (
     telling_runs,
 )
 from meshpoint.testbench.campaign.spec import TRUE_STATE
+from meshpoint.testbench.results.better import Judged, less_is_better, named, sentence
 from meshpoint.testbench.results.rows import SOURCES
 from meshpoint.testbench.results.shift_parts import PARTS
 
@@ -128,6 +129,7 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
             "mean": _mean(shots.impact_j),
             "mean_ci95": interval(resamples.of(name, "impact_j_mean")),
             "p99": quantile(shots.impact_j, P99) if shots.impact_j.size else None,
+            "incomplete": int((~shifts.column("impact_complete")).sum()),
         },
         "phases_ms": {part: _mean(shifts.known(part)) for part in PARTS},
         "bound_ms": _mean(shifts.known("bound_ms")),
@@ -201,15 +203,48 @@ def compare(shots: dict[str, Shots], resamples: Resamples) -> dict[str, Any]:
 
 
 def summarise(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Any]:
-    """`strategies` and `ratios` for the shifts of one point of the sweep."""
+    """`strategies`, `ratios` and `verdict` for the shifts of one point of the sweep."""
     shots = by_strategy(shifts, names)
     resamples = Resamples(shots, max(1, np.unique(shifts.column("seed")).size))
-    return {
-        "strategies": {
-            name: strategy_figures(name, shot, resamples) for name, shot in shots.items()
-        },
-        "ratios": compare(shots, resamples),
-    }
+    strategies = {name: strategy_figures(name, shot, resamples) for name, shot in shots.items()}
+    ratios = compare(shots, resamples)
+    return {"strategies": strategies, "ratios": ratios, "verdict": _verdict(strategies, ratios)}
+
+
+MEANS: Final = (
+    ("duration_ms", "duration_ms_mean", "time", "ms", 0),
+    ("impact_j", "impact_j_mean", "impact", "J", 2),
+)
+"""Figures of which less is better: their names among a strategy's figures and among the ratios,
+their word, unit and digits."""
+
+
+def _verdict(strategies: dict[str, Any], ratios: dict[str, Any]) -> str:
+    """Whether the strategy that is named last is better than the first: a sentence; empty where
+    there are no two. Beyond chance is what the ratio's 95 % interval leaves out 1 of."""
+    names = [name for name in strategies if name != TRUE_STATE]
+    if len(names) < 2:
+        return ""
+    name, other = names[-1], names[0]
+    mine, theirs, ratio = strategies[name], strategies[other], ratios[f"{name}/{other}"]
+    gap, gap_theirs = mine["first_contact_gap"]["rate"], theirs["first_contact_gap"]["rate"]
+    judged = []
+    if gap is not None and gap_theirs is not None:
+        values = f"{100 * gap:.1f} instead of {100 * gap_theirs:.1f} %"
+        better = None if gap == gap_theirs else gap > gap_theirs
+        beyond = _is_beyond(ratio["first_contact_gap_rate"])
+        judged.append(Judged("first contact in a gap", values, better, beyond))
+    for key, of_ratio, word, unit, digits in MEANS:
+        a, b = mine[key]["mean"], theirs[key]["mean"]
+        if a is not None and b is not None and (a or b):
+            beyond = _is_beyond(ratio[of_ratio])
+            judged.append(less_is_better(word, a, b, unit, digits, beyond))
+    return sentence(named(name), named(other), mine["shifts"], judged)
+
+
+def _is_beyond(ratio: dict[str, Any]) -> bool | None:
+    low, high = ratio["ci95"]
+    return None if low is None or high is None else not low <= 1.0 <= high
 
 
 def curve_point(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Any]:

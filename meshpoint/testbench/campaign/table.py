@@ -28,6 +28,8 @@ def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:
         if k > 0:
             out.print()
         out.print(table)
+    if values["verdict"]:
+        out.print(f"\n{values['verdict']}")
 
 
 def _strategies(values: dict[str, Any], names: list[str], gearbox: str) -> Table:
@@ -137,17 +139,18 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "p99 ms": lambda f: number(f["duration_ms"]["p99"], 0),
     "after ramp, mean": lambda f: number(f["after_ramp_ms"]["mean"], 0),
     "after ramp, p99": lambda f: number(f["after_ramp_ms"]["p99"], 0),
-    "bound ms": lambda f: number(f["bound_ms"], 0),
-    "over bound": lambda f: number(f["over_bound"], 2),
+    "kinematic minimum": lambda f: number(f["bound_ms"], 0),
+    "time over minimum": lambda f: number(f["over_bound"], 2),
     "mean impact J": lambda f: number(f["impact_j"]["mean"], 2),
     "p99 impact J": lambda f: number(f["impact_j"]["p99"], 2),
+    "impact incomplete": lambda f: str(f["impact_j"]["incomplete"]),
     "mean slip rpm": lambda f: number(f["slip_rpm_mean"], 1),
     "aborted": lambda f: _rate(f["aborted"]),
     "aborts a shift": lambda f: number(f["aborts_mean"], 2),
     "retries": lambda f: str(f["retries"]),
     "blocked": lambda f: str(f["blocked"]),
-    "thrown back": lambda f: str(f["thrown_back"]),
-    "given up": lambda f: str(f["given_up"]),
+    "bounced off": lambda f: str(f["thrown_back"]),
+    "not engaged": lambda f: str(f["given_up"]),
     "phase sd deg": lambda f: number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),
 }

@@ -85,7 +85,7 @@ def markdown(values: dict[str, Any], gearbox: str) -> str:
         mean, impact = figures["duration_ms"]["mean"], figures["impact_j"]["mean"]
         cells = ("" if v is None else f"{v:.{d}f}" for v, d in ((mean, 0), (impact, 2)))
         lines.append(f"| {name} | {shifts} | {share} | {' | '.join(cells)} |")
-    lines += ["", *stopped_words(values)]
+    lines += ["", *([values["verdict"]] if values["verdict"] else []), *stopped_words(values)]
     lines += [f"run {run['seed']} failed: {run['error']}" for run in values["failed"]]
     return "\n".join(lines) + "\n"
 

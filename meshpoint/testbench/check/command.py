@@ -21,7 +21,7 @@ from meshpoint.bus.options import (
 )
 from meshpoint.bus.profile import WireProfile
 from meshpoint.testbench.check.alive import SIGN_OF_LIFE, judge_alive
-from meshpoint.testbench.check.finding import Finding, Verdict, answer
+from meshpoint.testbench.check.finding import Finding, Verdict, answer, answer_words
 from meshpoint.testbench.check.interface import (
     GROUP,
     NO_CONTROLLER,
@@ -240,7 +240,7 @@ def _end(namespace: argparse.Namespace, config: dict[str, Any], findings: list[F
     channel = config.get("channel")
     out = console(namespace.json)
     out.print(findings_table(findings))
-    out.print(f"{'yes' if is_ready else 'no'}: {reason}", soft_wrap=True)
+    out.print(answer_words(is_ready, reason), soft_wrap=True)
     if namespace.json is not None:
         values = {
             "interface": config["interface"],

@@ -46,5 +46,11 @@ def answer(findings: Sequence[Finding]) -> tuple[bool, str]:
         return False, "; ".join(f"{f.subject}: {f.text}" for f in bad)
     unknown = [f.subject for f in findings if f.verdict is Verdict.UNKNOWN]
     if unknown:
-        return True, f"nothing bad was found; not known: {', '.join(unknown)}"
-    return True, "everything that was looked at is good"
+        items = "1 item" if len(unknown) == 1 else f"{len(unknown)} items"
+        return True, f"{items} not checked: {', '.join(unknown)}"
+    return True, "everything was checked"
+
+
+def answer_words(is_ready: bool, reason: str) -> str:
+    """The answer as a line; of `answer`."""
+    return f"READY ({reason})" if is_ready else f"NOT READY: {reason}"

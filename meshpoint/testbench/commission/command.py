@@ -25,7 +25,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.check.command import findings_table
-from meshpoint.testbench.check.finding import Finding, answer
+from meshpoint.testbench.check.finding import Finding, answer, answer_words
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.pace import add_pace, clock_of
 from meshpoint.testbench.commission.drawn import draw_sheet
@@ -114,7 +114,7 @@ def run(namespace: argparse.Namespace) -> int:
     if found is not None:
         findings += found.findings
         is_right, reason = _answer(core, findings)
-    _show(namespace, sheet, found, findings, f"{'yes' if is_right else 'no'}: {reason}")
+    _show(namespace, sheet, found, findings, answer_words(is_right, reason))
     if is_right and found is not None:
         _write(namespace, found)
     if namespace.json is not None:

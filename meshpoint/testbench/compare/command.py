@@ -27,6 +27,7 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_difference import CoreParting, LogDifference
 from meshpoint.testbench.report.compared import compared_page
+from meshpoint.testbench.results.better import Outcome, by_pairs, sentence
 from meshpoint.testbench.results.difference import Allowed, Difference, differences
 from meshpoint.testbench.results.output import check_writable, console, write_json
 
@@ -214,8 +215,22 @@ def _records(a: Path, b: Path, allowed: Allowed) -> Compared:
     ]
     if rest:
         tables.append(("Beside the shifts", ("field", "A", "B"), _rows(rest)))
-    values = {"shifts": sorted(by_shift), "differences": _json(found)}
-    return Compared(not found, _verdict(len(found), "fields"), tables, values)
+    better = _better(left, right) if by_shift else ""
+    verdict = " ".join(filter(None, (_verdict(len(found), "fields"), better)))
+    values = {"shifts": sorted(by_shift), "differences": _json(found), "verdict": better}
+    return Compared(not found, verdict, tables, values)
+
+
+def _better(left: Any, right: Any) -> str:
+    """Whether the shifts of B were better than those of A, where both made the same ones; empty
+    where they did not."""
+    sides = [side.get("shifts") if isinstance(side, dict) else None for side in (left, right)]
+    a, b = ([row for row in side or [] if isinstance(row, dict)] for side in sides)
+    gears = [[(row.get("from"), row.get("to")) for row in side] for side in (a, b)]
+    if not a or gears[0] != gears[1]:
+        return ""
+    pairs = [(Outcome.of(mine), Outcome.of(theirs)) for mine, theirs in zip(b, a, strict=True)]
+    return sentence("B", "A", len(pairs), by_pairs(pairs))
 
 
 def _shift_of(path: str) -> str | None:

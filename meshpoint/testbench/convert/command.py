@@ -39,8 +39,8 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "convert",
         description="The signals of a log as time series in SI units: each at the time at which it "
-        "was sampled, tooth edges one by one, what was estimated beside what was true (topic "
-        "Compared; of the virtual rig alone), and what happened in words. -o writes a file by its "
+        "was sampled, tooth edges one by one, estimated and true states (topic Compared; of the "
+        "virtual rig alone), and a list of events. -o writes a file by its "
         "ending: .mcap for Foxglove, Lichtblick and PlotJuggler, .mf4 for MDF viewers, .parquet "
         "for pandas, DuckDB and the like. --live serves the same of a bus to viewers on this "
         "machine. .mcap and --live need meshpoint[mcap], .mf4 needs meshpoint[mf4].",

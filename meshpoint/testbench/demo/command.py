@@ -1,4 +1,5 @@
-"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, a verified log."""
+"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, and the log checked
+by bit-exact replay."""
 
 from __future__ import annotations
 
@@ -24,6 +25,7 @@ from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.demo.report import demo_run, write_demo_report
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
@@ -31,7 +33,7 @@ from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.live import LiveResult, LiveRun, run_live, uses_virtual
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.provenance import provenance
-from meshpoint.testbench.report.comparison import compare, comparison_table, explain
+from meshpoint.testbench.report.comparison import compare, comparison_table, explain, verdict
 from meshpoint.testbench.report.plot import plot_shift
 from meshpoint.testbench.results.output import (
     WordsConsole,
@@ -59,8 +61,9 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "demo",
         description="Starts controller and rig as two processes on a bus of their own (or on the "
-        "one given), asks for upshifts with today's strategy and with phase aiming, prints one row "
-        "a shift, and verifies its own log by replay. -i virtual runs all in one process.",
+        "one given), asks for upshifts with the speed window of today and with phase control, "
+        "prints one row a shift, and checks its own log by bit-exact replay. -i virtual runs all "
+        "in one process.",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo"
@@ -98,6 +101,7 @@ def run(namespace: argparse.Namespace) -> int:
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}
+    beliefs: dict[str, Beliefs] = {}
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
         for strategy in reversed(DEMO_STRATEGIES):  # the one that has the picture first
             live = lives[strategy] = _live_run(namespace, rig, strategy, Path(private))
@@ -106,14 +110,16 @@ def run(namespace: argparse.Namespace) -> int:
             if strategy == AIMING_STRATEGY:
                 out.print(_picture(namespace.out, live, begun_s))
             out.print()
-            sessions[strategy] = _verify(live.log)
+            beliefs[strategy] = Beliefs()
+            sessions[strategy] = _verify(live.log, beliefs[strategy])
     lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
-    groups = compare({name: result.monitor.rows.rows for name, result in results.items()})
+    rows = {name: result.monitor.rows.rows for name, result in results.items()}
+    groups, better = compare(rows), verdict(rows)
     out.print(comparison_table(groups, live.gearbox_words))
-    for line in explain(groups, sheet):
+    for line in (*explain(groups, sheet), better):
         out.print(line)
     report = namespace.out / "report.html"
-    write_demo_report(report, lives, results, sessions)
+    write_demo_report(report, lives, results, sessions, beliefs)
     values = {
         "shifts": [
             row.to_json() for result in results.values() for row in result.monitor.rows.rows
@@ -135,6 +141,7 @@ def run(namespace: argparse.Namespace) -> int:
             for name, result in results.items()
         },
         "comparison": [group.to_json() for group in groups],
+        "verdict": better,
         "gap_over_pitch": sheet.dog.backlash_share,
         "provenance": provenance(sheet, namespace.seed, namespace.preset, rig.profile),
     }
@@ -259,9 +266,10 @@ def _complain(line: str) -> None:
         complain(line)
 
 
-def _verify(log: Path) -> Session:
+def _verify(log: Path, beliefs: Beliefs) -> Session:
+    replay = LogReplay(log.parent, verify=True, on_step=beliefs.look)
     try:
-        return LogReplay(log.parent, verify=True).run(frame for _, frame in read_log(log))[0]
+        return replay.run(frame for _, frame in read_log(log))[0]
     except LogError as error:
         return Session(verdict=Verification.NOT_VERIFIABLE, reason=str(error))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from meshpoint.bus.logs.reader import LogError, read_log
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.logs.session import Session
 from meshpoint.testbench.loop.live import LiveResult, LiveRun, unpacker
 from meshpoint.testbench.report.run import Report, ReportRun
@@ -25,18 +26,19 @@ def write_demo_report(
     lives: dict[str, LiveRun],
     results: dict[str, LiveResult],
     sessions: dict[str, Session],
+    beliefs: dict[str, Beliefs],
 ) -> None:
     """Writes the page; all by strategy. CommandError where it cannot be written."""
     runs, hashes = [], {}
     for name, live in lives.items():
         notes = [f"{name}: replay of the log is {sessions[name]}"]
         notes += estimator_notes(name, results[name].monitor.estimation.figures())
-        runs.append(demo_run(live, name, notes))
+        runs.append(demo_run(live, name, notes, beliefs[name]))
         hashes[f"run header, {name}"] = f"{live.header.run_hash:016x}"
     first = next(iter(lives.values()))
     rig: RigSettings = first.rig
     report = Report(
-        title="meshpoint demo: today's strategy and phase aiming",
+        title="meshpoint demo: the speed window (today) and phase control",
         subtitle="Controller and rig on a CAN bus; the gearbox is simulated, preset "
         f"{rig.preset}, {first.gearbox_words}.",
         sheet=first.header.sheet,
@@ -48,9 +50,14 @@ def write_demo_report(
     write_report(path, report)
 
 
-def demo_run(live: LiveRun, name: str = "", notes: list[str] | None = None) -> ReportRun:
+def demo_run(
+    live: LiveRun,
+    name: str = "",
+    notes: list[str] | None = None,
+    beliefs: Beliefs | None = None,
+) -> ReportRun:
     """The shifts of a finished run, read back from its log."""
-    return gather(name, _frames(live), live.header, notes or [])
+    return gather(name, _frames(live), live.header, notes or [], beliefs)
 
 
 def _frames(live: LiveRun) -> Iterator[Frame]:

@@ -21,7 +21,7 @@ SDS: Final = 1.96
 UNITS: Final = {
     "on_delay_s": ("sleeve valve {} on delay", "ms", MS),
     "off_delay_s": ("sleeve valve {} off delay", "ms", MS),
-    "contact_s": ("sleeve delay {} by its law", "ms", MS),
+    "contact_s": ("sleeve delay {}, actuator model", "ms", MS),
     "contact_s_per_pa": ("sleeve delay {} per bar of supply", "ms/bar", MS / BAR),
     "detent_n": ("sleeve detent {}", "N", 1.0),
     "stopping_m": ("sleeve stopping distance {}", "mm", MM),
@@ -57,7 +57,7 @@ def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> N
                 found.figures.append(Figure(*named[:2], value, *ends, by_sheet, law.movements))
     untold(
         found,
-        "the law has no temperature: what oil and warmth change is learned anew with each movement",
+        "temperature is not modelled; re-learned each stroke",
         ("sleeve delay by temperature", "ms/K", None),
     )
 

@@ -101,7 +101,8 @@ class LogReplay:
     """Feeds a log's frames to controllers, one for each session that the log holds.
 
     `change(header)` may give another header to build the controller from (another strategy); it
-    raises NotVerifiableError where a run cannot be repeated.
+    raises NotVerifiableError where a run cannot be repeated. `on_step` is called after each step of
+    a controller with what that sent; not in a log of the classic profile.
     """
 
     def __init__(
@@ -112,8 +113,9 @@ class LogReplay:
         on_output: Callable[[Frame], None] | None = None,
         on_event: Callable[[int, str], None] | None = None,
         onlooker: Onlooker | None = None,
+        on_step: Callable[[ControllerCore, list[Frame]], None] | None = None,
     ) -> None:
-        self._onlooker = onlooker
+        self._onlooker, self._on_step = onlooker, on_step
         self._folder = folder
         self._verify = verify
         self._change = change
@@ -248,6 +250,8 @@ class LogReplay:
         made = core.step(status.step_time_us)
         if self._onlooker is not None:
             self._onlooker.after(status, step.frames, made.frames)
+        if self._on_step is not None:
+            self._on_step(core, made.frames)
         session.steps += 1
         session.frames += len(made.frames)
         for line in made.events:

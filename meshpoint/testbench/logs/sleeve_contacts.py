@@ -29,7 +29,7 @@ SLOWER: Final = 1.5
 """Times as long across the contact as before it: it has stopped there. With samples of 1 ms a free
 sleeve gives 0.8 to 1.3, one that starts again from a face 2 or more (simulated, preset truck, sheet
 truck12, `typical` and `harsh`, seeds 5, 8, 21 and 22, 96 contacts). A tooth that enters a gap and
-is thrown back at once reads as a tooth, one that slides off the face within some 2 ms, as a gap."""
+is bounced off at once reads as a tooth, one that slides off the face within some 2 ms, as a gap."""
 SHORT_M: Final = 0.3 * MM
 """A sleeve that comes no nearer to the teeth has met none."""
 STANDS_M: Final = 0.25 * MM

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from meshpoint.bus.core import Core, Step
+from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
@@ -92,6 +92,19 @@ class Apart(Protocol):
         process is lost."""
 
 
+class _Watched(AroundCore[Core]):
+    """Shows each step to somebody."""
+
+    def __init__(self, core: Core, look: Callable[[Step], None]) -> None:
+        super().__init__(core)
+        self._look = look
+
+    def step(self, now_us: int) -> Step:
+        step = super().step(now_us)
+        self._look(step)
+        return step
+
+
 def rig_of(setup: Setup) -> RigCore:
     """The rig, in the gear that the first shift begins with."""
     pairs = list(setup.pairs if setup.shifts else UPSHIFTS)
@@ -152,19 +165,23 @@ def simulate(
     stop: Callable[[], bool] = lambda: False,
     record: Path | None = None,
     apart: Apart | None = None,
+    on_step: Callable[[ControllerCore, list[Frame]], None] | None = None,
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
     `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
     the controller knows more, and at the end; `stop`, looked at after every step, ends it early.
     `record`: the folder of the run header, where a classic run's steps are written to be verified
-    by. `apart`: runs the rig in another process, with the same frames."""
+    by. `apart`: runs the rig in another process, with the same frames. `on_step` is called after
+    each step of the controller with what that sends."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
     rig = rig_of(setup)
     core = ControllerCore(setup.header)
-    controller = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
+    controller: Core = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
+    if on_step is not None:
+        controller = _Watched(controller, lambda step: on_step(core, step.frames))
     unpack = _unpacker(setup.wire)
     reported = 0
 

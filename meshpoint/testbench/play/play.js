@@ -80,15 +80,15 @@
       }
       return row;
     });
-    const luck = document.createElement("tr");
-    for (const text of ["by luck", "", "", `${value("gap")} %`]) {
+    const chance = document.createElement("tr");
+    for (const text of ["by chance", "", "", `${value("gap")} %`]) {
       const cell = document.createElement("td");
       cell.textContent = text;
       cell.className = "number";
-      luck.append(cell);
+      chance.append(cell);
     }
-    luck.firstChild.className = "";
-    document.querySelector("#score tbody").replaceChildren(...rows, luck);
+    chance.firstChild.className = "";
+    document.querySelector("#score tbody").replaceChildren(...rows, chance);
   }
 
   let before = null;

@@ -241,6 +241,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
         rows.made,
         lambda time_us, line: events.append((time_us, line)),
         open_loop,
+        rows.beliefs.look if open_loop is None and namespace.report is not None else None,
     )
     with logged_frames(files, namespace.bus, stop) as log:
         sessions = replay.run(_fed(log, rows))

@@ -7,6 +7,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.report.collect import MADE, ReportCollector
@@ -30,6 +31,8 @@ class ReplayRows:
         self._session = -1
         self._keys: list[tuple[int, int]] = []
         """Of each row in open loop: session and time of request."""
+        self.beliefs = Beliefs()
+        """Of the repeated controller, as recorded."""
         self.report: ReportCollector | None = None
         self.header: RunHeader | None = None
         """Of the first session, which rows and report are made with."""
@@ -44,6 +47,7 @@ class ReplayRows:
             self._take(message)
         elif isinstance(message, ReferenceEngagement):
             self._truth.append(message)
+            self._take_truth()
         if self.report is not None and (self.open_loop or not isinstance(message, MADE)):
             self.report.take(message)
 
@@ -55,8 +59,11 @@ class ReplayRows:
         if self._collector is None:
             self.header = header
             self._collector = RowCollector(header.sheet, aim_rad(header), header.settings)
+            self._take_truth()
             if self._for_report:
-                self.report = ReportCollector(header.sheet, aim_rad(header), header.settings)
+                self.report = ReportCollector(
+                    header.sheet, aim_rad(header), header.settings, self.beliefs
+                )
 
     def made(self, frame: Frame) -> None:
         """A frame the repeated controller sent."""
@@ -64,12 +71,14 @@ class ReplayRows:
             return
         message = self._made.receive(frame).message
         if isinstance(message, ShiftOutcome):
-            for truth in self._truth:
-                self._take(truth)
-            self._truth.clear()
             self._take(message)
         if self.report is not None and isinstance(message, MADE):
             self.report.take(message)
+
+    def _take_truth(self) -> None:
+        """What the log has said of the rig's truth, as soon as there are rows to put it in."""
+        while self._truth and self._collector is not None:
+            self._collector.take(self._truth.pop(0))
 
     def _take(self, message: Message) -> None:
         if self._collector is None:

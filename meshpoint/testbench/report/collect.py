@@ -7,8 +7,8 @@ are cut out a moment after a shift has ended and the rest is dropped: a run may 
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.logs.beliefs import Belief, Beliefs
 from meshpoint.testbench.open_loop.judged import Judged
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
@@ -54,6 +55,20 @@ Points = tuple[list[float], list[float]]
 """Times in ms since the request, and values."""
 
 
+class Firing(NamedTuple):
+    """A sleeve that was fired, and what was predicted then; times in ms since the request."""
+
+    decided_ms: float
+    fire_ms: float
+    contact_ms: float
+    phase_deg: float
+    sd_deg: float
+    """0: the phase was not known."""
+    slip_rpm: float
+    belief: Belief | None = None
+    """What it was predicted from; None where the controller was not asked."""
+
+
 @dataclass(frozen=True)
 class ReportShift:
     """One shift: its row, the controller's own account, and its series by name."""
@@ -63,6 +78,8 @@ class ReportShift:
     target_deg: float
     """Where in the gap was aimed at; the row's phase error counts from there."""
     series: dict[str, Points]
+    firings: tuple[Firing, ...] = ()
+    """Those withdrawn before their valve's time left out."""
     replayed: Judged | None = None
     """What another strategy decides on these frames; nothing else here is of its doing."""
 
@@ -161,13 +178,17 @@ class ReportCollector:
         sheet: GearboxSheet,
         target_rad: float = 0.0,
         settings: ControllerSettings | None = None,
+        beliefs: Beliefs | None = None,
     ) -> None:
-        """`settings`: of the controller, which name a user's own strategy."""
+        """`settings`: of the controller, which name a user's own strategy; `beliefs`: what it
+        believed at each firing, there by the end of the shift."""
         self._target_rad = target_rad
+        self._beliefs = {} if beliefs is None else beliefs.of
+        self._fired: list[ShiftPrediction] = []
         self._rows = RowCollector(sheet, target_rad, settings)
         self._receiver = Receiver(*Node)
         self._traces = _ReportTraces()
-        self._ended: list[tuple[ShiftRow, ShiftOutcome, float]] = []
+        self._ended: list[tuple[ShiftRow, ShiftOutcome, float, list[ShiftPrediction]]] = []
         self._forgot_s = 0.0
         self._shifts: list[ReportShift] = []
 
@@ -186,8 +207,11 @@ class ReportCollector:
         if isinstance(message, ShiftOutcome):
             if message.result is not ShiftResult.REFUSED:
                 request_s = self._traces.unwrapped_s(message.request_time_us)
-                self._ended.append((self._rows.rows[-1], message, request_s))
+                self._ended.append((self._rows.rows[-1], message, request_s, self._fired))
+                self._fired = []
             return
+        if isinstance(message, ShiftPrediction) and message.decision is ShiftDecision.COMMITTED:
+            self._fired.append(message)
         latest_s = self._traces.latest_s
         if self._ended and latest_s > self._cut_end_s() + LATE_S:
             self._cut()
@@ -201,25 +225,41 @@ class ReportCollector:
         self._traces, self._forgot_s = _ReportTraces(), 0.0
 
     def finish(self) -> list[ReportShift]:
-        """All shifts, at the end of the bus."""
+        """All shifts, at the end of the bus, with what their rows have got after their ends."""
         self._cut_all()
-        return self._shifts
+        rows = zip(self._shifts, self._rows.rows, strict=True)
+        return [replace(shift, row=row) for shift, row in rows]
 
     def _cut_all(self) -> None:
         while self._ended:
             self._cut()
 
     def _cut_end_s(self) -> float:
-        row, _, request_s = self._ended[0]
+        row, _, request_s, _ = self._ended[0]
         return request_s + row.duration_ms / 1000 + AFTER_S
 
     def _cut(self) -> None:
         end_s = self._cut_end_s()
-        row, outcome, request_s = self._ended.pop(0)
+        row, outcome, request_s, fired = self._ended.pop(0)
         series: dict[str, Points] = {}
         for name, points in self._traces.series.items():
             times_s, values = points.between(request_s - BEFORE_S, end_s)
             if times_s:
                 series[name] = ([1e3 * (t - request_s) for t in times_s], values)
-        self._shifts.append(ReportShift(row, outcome, self._target_rad / DEG, series))
+        firings = tuple(self._firing(row, each) for each in fired)
+        self._shifts.append(ReportShift(row, outcome, self._target_rad / DEG, series, firings))
         self._traces.forget(end_s - AFTER_S)
+
+    def _firing(self, row: ShiftRow, message: ShiftPrediction) -> Firing:
+        def ms(stamp_us: int) -> float:
+            return span_us(stamp_us, row.request_us) / 1000
+
+        return Firing(
+            decided_ms=ms(message.decision_time_us),
+            fire_ms=ms(message.fire_time_us),
+            contact_ms=ms(message.contact_time_us),
+            phase_deg=message.phase_rad / DEG,
+            sd_deg=message.phase_sd_rad / DEG,
+            slip_rpm=message.slip_rad_s / RPM,
+            belief=self._beliefs.get(message.contact_time_us),
+        )

@@ -1,4 +1,5 @@
-"""What the rows of one or several runs of a plan come to: learning and aimed shifts apart.
+"""What the rows of one or several runs of a plan come to: learning shifts apart from those in which
+the phase reference was known.
 
 A shift aims, or could, where its gear's phase reference was known when the sleeve was fired. The
 first engagement of each gear learns it. Strategies are compared over the same shifts of the plan:
@@ -16,12 +17,13 @@ from typing import Any, Final
 from rich.table import Table
 
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.results.better import Outcome, by_pairs, named, sentence
 from meshpoint.testbench.results.output import shown
-from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.results.rows import LOCK_WAIT_US, ShiftRow, summarise
 from meshpoint.testbench.results.wilson import wilson
 
 LEARNING: Final = "learning"
-AIMED_KIND: Final = "aimed"
+KNOWN: Final = "known"
 HEADERS: Final = (
     "shifts", "strategy", "into\nthe gap", "95 %\ninterval", "phase\nerror\nRMS, deg", "mean\nms",
     "with\nabort",
@@ -33,7 +35,7 @@ class ShiftGroup:
     """The shifts of one strategy that belong together."""
 
     kind: str
-    """`LEARNING` or `AIMED_KIND`."""
+    """`LEARNING` or `KNOWN`: whether the phase reference was."""
     strategy: str
     """As it was asked for."""
     shifts: int
@@ -49,6 +51,8 @@ class ShiftGroup:
     """Shifts whose sleeve was stopped short of the teeth, once or more."""
     mean_impact_j: float | None = None
     """Lost in flank impacts a shift; None where the gearbox keeps no tally, as preset thesis."""
+    impact_incomplete: int = 0
+    """Shifts whose gear had not locked when their rows were closed: the mean may be too low."""
     aims: bool = True
     """Whether the strategy aims at a phase."""
 
@@ -67,24 +71,33 @@ def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
 
     runs: rows by strategy as it was asked for; shifts pair by gears and how often these came."""
     keyed = {name: _by_place(rows) for name, rows in runs.items()}
-    known = [
-        {place for place, row in rows.items() if row.reference == "known"}
-        for rows in keyed.values()
-    ]
-    aimed = set.intersection(*known) if known else set()
-    unknown = set().union(*(set(rows) for rows in keyed.values())) - aimed
+    known = _known(keyed)
+    unknown = set().union(*(set(rows) for rows in keyed.values())) - known
     kinds = {name: summarise(name, list(rows)).aims for name, rows in runs.items()}
     groups = [
         _group(
             kind, name, [row for place, row in rows.items() if place in places], aims=kinds[name]
         )
-        for kind, places in ((AIMED_KIND, aimed), (LEARNING, unknown))
+        for kind, places in ((KNOWN, known), (LEARNING, unknown))
         for name, rows in keyed.items()
     ]
     return [group for group in groups if group.shifts]
 
 
-def _by_place(rows: Sequence[ShiftRow]) -> dict[tuple[int, int, int], ShiftRow]:
+Place = tuple[int, int, int]
+"""In a plan: gears, and how often these came before."""
+
+
+def _known(keyed: Mapping[str, Mapping[Place, ShiftRow]]) -> set[Place]:
+    """Where the reference was known to every one of these runs."""
+    known = [
+        {place for place, row in rows.items() if row.reference == "known"}
+        for rows in keyed.values()
+    ]
+    return set.intersection(*known) if known else set()
+
+
+def _by_place(rows: Sequence[ShiftRow]) -> dict[Place, ShiftRow]:
     """Rows by their place in the plan, also where a shift before them has no row."""
     count: Counter[tuple[int, int]] = Counter()
     found = {}
@@ -100,7 +113,7 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow], *, aims: bool) -> Shi
     durations = [row.duration_ms for row in rows if row.result == "engaged"]
     impact_j = sum(row.impact_j for row in rows)
     rms = None
-    if aims and kind == AIMED_KIND and errors:
+    if aims and kind == KNOWN and errors:
         rms = math.sqrt(sum(error * error for error in errors) / len(errors))
     return ShiftGroup(
         kind=kind,
@@ -113,13 +126,15 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow], *, aims: bool) -> Shi
         mean_duration_ms=sum(durations) / len(durations) if durations else None,
         aborted=sum(row.aborts > 0 for row in rows),
         mean_impact_j=impact_j / len(rows) if impact_j > 0.0 else None,
+        impact_incomplete=sum(not row.impact_complete for row in rows),
         aims=aims,
     )
 
 
-def headline(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> str:
-    """What happened and why it matters, against today's strategy where it ran too."""
-    known = [group for group in groups if group.kind == AIMED_KIND]
+def headline(groups: Sequence[ShiftGroup], sheet: GearboxSheet, better: str = "") -> str:
+    """What happened and why it matters, against today's strategy where it ran too; `better`: the
+    sentence of `verdict`."""
+    known = [group for group in groups if group.kind == KNOWN]
     ours = next((group for group in known if group.aims), None)
     others = next((group for group in known if not group.aims), None)
     first = ours or others
@@ -127,39 +142,46 @@ def headline(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> str:
         return "No shift was aimed: a gear's first engagement learns where its teeth are."
     if not first.contacts:
         return "The log does not say where the teeth met: nothing can be said about gap or tooth."
-    luck = f"by luck {100 * sheet.dog.backlash_share:.0f} %"
-    met = f"Tooth met gap at first contact in {first.gap} of {first.shifts} "
+    chance = f"by chance {100 * sheet.dog.backlash_share:.0f} %"
+    met = f"Tooth met gap at first contact in {first.gap} of {first.shifts} shifts by "
     if ours is None:
-        return f"{met}shifts of {shown(first.strategy)}, which does not aim ({luck}){_cost(first)}."
-    met += f"shifts aimed by {shown(ours.strategy)}"
+        return f"{met}{named(first.strategy)}, which does not aim ({chance}){_cost(first)}."
+    met += named(ours.strategy)
     if others is None:
-        return f"{met} ({luck}){_cost(ours)}. {WHY}"
-    return (
-        f"{met}, in {others.gap} of {others.shifts} by {shown(others.strategy)}, which fires as "
-        f"gearboxes do today ({luck}){_cost(ours, others)}. {WHY}"
-    )
+        return f"{met} ({chance}){_cost(ours)}. {WHY}"
+    met += f", in {others.gap} of {others.shifts} by {named(others.strategy)} ({chance})."
+    return f"{met} {better} {WHY}"
 
 
-WHY: Final = "Where tooth meets tooth the sleeve waits or is thrown back, and the teeth wear."
+WHY: Final = "Where tooth meets tooth the sleeve waits or bounces off, and the teeth wear."
 
 
-def _cost(ours: ShiftGroup, others: ShiftGroup | None = None) -> str:
-    """Means of impact and time, a shift, beside another strategy's."""
-    means = []
-    for name, digits, unit in (("mean_impact_j", 2, "J of impact"), ("mean_duration_ms", 0, "ms")):
-        mine, theirs = getattr(ours, name), others and getattr(others, name)
-        if mine is None and theirs is None:
-            continue
-        words = f"{mine or 0.0:.{digits}f}"
-        words += "" if theirs is None else f" instead of {theirs:.{digits}f}"
-        means.append(f"{words} {unit}")
-    return f"; {' and '.join(means)} a shift on average" if means else ""
+def _cost(group: ShiftGroup) -> str:
+    """Means of impact and time, a shift."""
+    means = [(group.mean_impact_j, 2, "J of impact"), (group.mean_duration_ms, 0, "ms")]
+    words = [f"{mean:.{digits}f} {unit}" for mean, digits, unit in means if mean is not None]
+    return f"; {' and '.join(words)} a shift on average" if words else ""
+
+
+def verdict(runs: Mapping[str, Sequence[ShiftRow]]) -> str:
+    """Whether the run that aims was better than the other one, on the shifts of the plan in which
+    both could; empty where there are no two such runs."""
+    keyed = {name: _by_place(rows) for name, rows in runs.items()}
+    aims = {name: summarise(name, list(rows)).aims for name, rows in runs.items()}
+    ours, others = (next((n for n in runs if aims[n] is way), None) for way in (True, False))
+    if ours is None or others is None:
+        return ""
+    both = [
+        (Outcome.of(vars(keyed[ours][place])), Outcome.of(vars(keyed[others][place])))
+        for place in sorted(_known(keyed))
+    ]
+    return sentence(named(ours), named(others), len(both), by_pairs(both))
 
 
 STRATEGY_WORDS: Final = {
     "speed_window": "fires as soon as the speed difference is small enough, as gearboxes do today",
     "speed_window_anticipating": "fires so that the speed difference is small as the sleeve "
-    "arrives; where the teeth are then is left to luck",
+    "arrives; where the teeth are then is left to chance",
     "target_phase": "fires so that, as the sleeve arrives, tooth meets gap",
 }
 
@@ -172,18 +194,23 @@ def strategies_explained(groups: Sequence[ShiftGroup]) -> list[str]:
 
 
 def explain(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> list[str]:
-    """What the groups are, and what luck alone would do."""
+    """What the groups are, and what chance alone would do."""
     lines = []
     several = len({group.strategy for group in groups}) > 1
     if any(group.kind == LEARNING for group in groups):
         unless = ", or not with every strategy" if several else ""
         lines.append(f"learning: the gear's phase reference was not known yet{unless}.")
     if several:
-        lines.append("aimed: the reference was known to both strategies at this shift of the plan.")
-    elif any(group.kind == AIMED_KIND for group in groups):
-        lines.append("aimed: the gear's phase reference was known.")
-    luck = f"{100 * sheet.dog.backlash_share:.0f} %"
-    lines.append(f"By luck a tooth meets a gap in {luck} of shifts: gap over pitch.")
+        lines.append("known: the reference was known to both strategies at this shift of the plan.")
+    elif any(group.kind == KNOWN for group in groups):
+        lines.append("known: the gear's phase reference was known.")
+    chance = f"{100 * sheet.dog.backlash_share:.0f} %"
+    lines.append(f"By chance a tooth meets a gap in {chance} of shifts: gap over pitch.")
+    if waiting := sum(group.impact_incomplete for group in groups):
+        lines.append(
+            f"Of {waiting} shifts the impact is not complete: the gear had not locked "
+            f"{LOCK_WAIT_US / 1e6:g} s after the shift's end."
+        )
     return lines
 
 

@@ -95,7 +95,7 @@ def _phase_range(shift: ReportShift) -> list[float]:
 
 
 def _events(shift: ReportShift) -> tuple[list[Figure], list[Figure]]:
-    """Vertical lines through all panels, named above them."""
+    """Vertical lines through all panels, named above them where the page has room."""
     outcome, row = shift.outcome, shift.row
     events = [("request", 0.0), ("in gear" if row.result == "engaged" else "end", row.duration_ms)]
     if row.attempts:
@@ -111,14 +111,12 @@ def _events(shift: ReportShift) -> tuple[list[Figure], list[Figure]]:
         }
         for name, at_ms in events
     ]  # fmt: skip
-    anchors = {"valve": "right", "in gear": "left", "end": "left"}
     annotations = [
         {
             "x": round(at_ms, 2), "y": 1, "yref": "paper", "yanchor": "bottom", "text": name,
-            "showarrow": False, "font": {"size": 11, "color": INK}, "yshift": 16 * (i % 2),
-            "xanchor": anchors.get(name, "center"),
+            "showarrow": False, "font": {"size": 11, "color": INK},
         }
-        for i, (name, at_ms) in enumerate(sorted(events, key=lambda event: event[1]))
+        for name, at_ms in sorted(events, key=lambda event: event[1])
     ]  # fmt: skip
     return shapes, annotations
 
@@ -153,15 +151,27 @@ def _line(panel: int, name: str, points: Points, color: str, **style: Any) -> Fi
 
 
 def _bound(panel: int, points: Points, sd: list[float], color: str) -> list[Figure]:
-    """Estimate +- standard deviation as a filled band."""
-    times, values = points
-    low = (times, [v - s for v, s in zip(values, sd, strict=True)])
-    high = (times, [v + s for v, s in zip(values, sd, strict=True)])
+    """Estimate +- standard deviation as a filled band, one for each stretch without a hole: a fill
+    would go on across it."""
     plain = {"line": {"width": 0, "color": color}, "hoverinfo": "skip"}
-    return [
-        _trace(panel, "", low, showlegend=False, **plain),
-        _trace(panel, "± 1 sd", high, fill="tonexty", fillcolor=color, **plain),
-    ]
+    bands = []
+    for start, end in _stretches(points[0]):
+        times = points[0][start:end]
+        both = list(zip(points[1][start:end], sd[start:end], strict=True))
+        low, high = (times, [v - s for v, s in both]), (times, [v + s for v, s in both])
+        fill = {"fill": "tonexty", "fillcolor": color, "showlegend": start == 0}
+        bands += [
+            _trace(panel, "", low, showlegend=False, **plain),
+            _trace(panel, "± 1 sd", high, **fill, **plain),
+        ]
+    return bands
+
+
+def _stretches(times_ms: list[float]) -> list[tuple[int, int]]:
+    """From and to where the bus was not silent."""
+    holes = [k for k, (a, b) in enumerate(pairwise(times_ms), 1) if b - a > HOLE_MS]
+    ends = [0, *holes, len(times_ms)]
+    return [(start, end) for start, end in pairwise(ends) if end > start]
 
 
 def _scaled(points: Points, scale: float) -> Points:

@@ -12,14 +12,12 @@ import numpy as np
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
-from meshpoint.kernels.records import Vector
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.layout import SLEEVE_NAME
-from meshpoint.testbench.report.phase import true_phase
+from meshpoint.testbench.report.phase import true_trajectory
 
 BEFORE_MS: Final = 120.0
 """The motion begins this long before the first contact."""
-DEG_PER_RPM_MS: Final = 0.006
 
 
 def motion(shift: ReportShift, sheet: GearboxSheet) -> dict[str, Any] | None:
@@ -27,7 +25,7 @@ def motion(shift: ReportShift, sheet: GearboxSheet) -> dict[str, Any] | None:
     `sleeve_mm` each millisecond, towards the gear positive. None without a contact or its truth."""
     contact_ms, contact_deg = shift.contact_ms, shift.contact_phase_deg
     after = DRIVE_GEARS[shift.row.to].main
-    trajectory = _trajectory(shift, after.name.lower(), sheet.main_mesh(after).ratio)
+    trajectory = true_trajectory(shift, after.name.lower(), sheet.main_mesh(after).ratio)
     if contact_ms is None or contact_deg is None or trajectory is None:
         return None
     at_ms, phase_deg = trajectory
@@ -58,20 +56,3 @@ def geometry(sheet: GearboxSheet) -> dict[str, float]:
         "contact_mm": 1e3 * sheet.sleeve.to_contact_m,
         "stroke_mm": 1e3 * sheet.sleeve.stroke_m,
     }
-
-
-def _trajectory(shift: ReportShift, gear: str, ratio: float) -> tuple[Vector, Vector] | None:
-    """The phase at the encoder's rate: samples of the truth, 10 ms apart, joined by the slip."""
-    sample_ms, sample_deg = true_phase(shift, gear, ratio)
-    layshaft, main = shift.points("layshaft_rpm"), shift.points("main_rpm")
-    if len(sample_ms) < 2:
-        return None
-    samples = np.asarray(sample_ms)
-    grid = np.asarray(layshaft[0])
-    grid = np.union1d(samples, grid[(grid >= samples[0]) & (grid <= samples[-1])])
-    slip = ratio * np.interp(grid, *layshaft) - np.interp(grid, *main)
-    way = 0.5 * (slip[1:] + slip[:-1]) * DEG_PER_RPM_MS * np.diff(grid)
-    run = np.concatenate(([0.0], np.cumsum(way)))
-    # What the sum of slips leaves out grows evenly between two samples.
-    missing = np.asarray(sample_deg) - np.interp(samples, grid, run)
-    return grid, run + np.interp(grid, samples, missing)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any, Final
 
+from meshpoint.testbench.report.cause import cause
 from meshpoint.testbench.report.comparison import (
     ShiftGroup,
     cells,
@@ -13,6 +14,7 @@ from meshpoint.testbench.report.comparison import (
     explain,
     headline,
     strategies_explained,
+    verdict,
 )
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
@@ -33,23 +35,26 @@ from meshpoint.testbench.report.run import (
     number_cell,
     shift_title,
 )
+from meshpoint.testbench.results.output import shown
 from meshpoint.testbench.results.rows import ShiftRow
 
 
 def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     """The whole page; `data` is what its script draws, each shift read when it is opened."""
     shifts = sum(len(run.shifts) for run in report.runs)
-    groups = compare({run.name: [shift.row for shift in run.shifts] for run in report.runs})
+    rows = {run.name: [shift.row for shift in run.shifts] for run in report.runs}
+    groups = compare(rows)
     body = [
         f"<h1>{escape(report.title)}</h1>",
-        f'<p class="headline">{escape(headline(groups, report.sheet))}</p>',
+        f'<p class="headline">{escape(headline(groups, report.sheet, verdict(rows)))}</p>',
         f"<p>{escape(report.subtitle)}</p>",
         "<h2>Summary</h2>" if report.asked is None else "<h2>Summary of the log</h2>",
         _summary(groups, report),
     ]
     if shifts:
         heading = "<h2>Shifts</h2>" if report.asked is None else "<h2>Shifts as recorded</h2>"
-        body += [decisions_table(report), OVERVIEW, heading, _shifts(report.runs), VIEWER]
+        body += [decisions_table(report), _causes(report), OVERVIEW, heading]
+        body += [_shifts(report.runs), VIEWER]
     else:
         body.append("<p>No shift to draw.</p>")
     body += [_notes(report.runs), "<h2>Provenance</h2>", definitions(report.provenance)]
@@ -66,8 +71,14 @@ OVERVIEW: Final = """<div class="overview">
 <div><h3>Where the teeth met: one point a shift</h3><div id="contacts"></div></div>
 <div><h3>Prediction against outcome, reference known</h3><div id="predictions"></div></div>
 </div>"""
+PARTS_WORDS: Final = (
+    "Degrees from the middle of the gap. What a prediction was off by is the sum of its parts: "
+    "each is what the truth about one belief changes, the others left as they were believed; the "
+    "reference is the phase when it was planned, angles included."
+)
 VIEWER: Final = """<div class="bar"><h2 id="title"></h2>
 <button id="before">← previous</button><button id="after">next →</button></div>
+<p id="cause"></p>
 <table id="account"><thead><tr><th></th><th class="number">predicted when fired</th>
 <th class="number">seen by the controller</th><th class="number">rig's truth</th></tr></thead>
 <tbody></tbody></table>
@@ -81,6 +92,26 @@ sleeve moves in, and the tooth has to meet the gap. The line through the traces 
 Drag to zoom into a panel or along the time axis, double-click to see all. The arrow keys change
 the shift. Phase counts on over the pitches, so every gap that goes by is a band; truth is the rig's
 reference, which the controller never reads.</p>"""
+
+
+def _causes(report: Report) -> str:
+    """Every shift that missed its gap, aborted a firing or failed, with why; shifts of which the
+    same is to be said together."""
+    items = []
+    for r, run in enumerate(report.runs):
+        said: dict[str, list[str]] = {}
+        for s, shift in enumerate(run.shifts):
+            if why := cause(shift, report.sheet):
+                link = f'<a href="#{shift_key(r, s)}">{s + 1}</a>'
+                said.setdefault(why, []).append(link)
+        of = f"{escape(shown(run.name))}, " if len(report.runs) > 1 else ""
+        items += [
+            f"<li>{of}shift{'s' * (len(links) > 1)} {', '.join(links)}: {escape(why)}</li>\n"
+            for why, links in said.items()
+        ]
+    if not items:
+        return ""
+    return f"<h2>Missed or aborted, and why</h2>\n<ul>\n{''.join(items)}</ul>\n<p>{PARTS_WORDS}</p>"
 
 
 def _notes(runs: list[ReportRun]) -> str:
@@ -178,6 +209,7 @@ def shift_words(report: Report) -> dict[str, dict[str, Any]]:
     return {
         shift_key(r, s): {
             "title": shift_title(run.name, s + 1, shift),
+            "cause": cause(shift, report.sheet) or "",
             "account": account(shift)
             + (replayed_account(shift.replayed, shift.row.pitch_deg) if shift.replayed else []),
         }

@@ -66,6 +66,24 @@ def estimated_phase(shift: ReportShift, ratio: float, truth: Points) -> Points:
     return times_ms, _anchored(shift, times, curve, pitch)
 
 
+def true_trajectory(shift: ReportShift, gear: str, ratio: float) -> tuple[Vector, Vector] | None:
+    """The rig's truth in degrees at the encoder's rate: its samples, 10 ms apart, joined by the
+    slip. Times in ms; None without them."""
+    sample_ms, sample_deg = true_phase(shift, gear, ratio)
+    layshaft, main = shift.points("layshaft_rpm"), shift.points("main_rpm")
+    if len(sample_ms) < 2:
+        return None
+    samples = np.asarray(sample_ms)
+    grid = np.asarray(layshaft[0])
+    grid = np.union1d(samples, grid[(grid >= samples[0]) & (grid <= samples[-1])])
+    slip = ratio * np.interp(grid, *layshaft) - np.interp(grid, *main)
+    way = 0.5 * (slip[1:] + slip[:-1]) * DEG_PER_RPM_MS * np.diff(grid)
+    run = np.concatenate(([0.0], np.cumsum(way)))
+    # What the sum of slips leaves out grows evenly between two samples.
+    missing = np.asarray(sample_deg) - np.interp(samples, grid, run)
+    return grid, run + np.interp(grid, samples, missing)
+
+
 def _anchored(shift: ReportShift, times: Vector, curve: Vector, pitch: float) -> list[Any]:
     """Shifted by whole pitches so that the contact lies where the rig reported it; without one, so
     that the end lies within half a pitch of the middle."""

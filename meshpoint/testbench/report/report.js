@@ -11,20 +11,68 @@
   const figure = document.getElementById("figure");
   let chosen = null;
 
-  // On a narrow page the traces take the whole width; the legends lie over them.
+  // On a narrow page the traces take the whole width, and each panel's legend lies above it.
   const narrow = matchMedia("(max-width: 600px)");
+  const LEGEND = { row_px: 17, columns: 2, gap_px: 14 };
 
-  function fit(layout) {
+  function fit(layout, traces) {
     if (!narrow.matches) return;
-    layout.margin = { ...layout.margin, l: Math.min(layout.margin.l, 120) * 0.68, r: 4 };
+    layout.margin = { ...layout.margin, l: Math.min(layout.margin.l, 120) * 0.68, r: 10 };
     layout.font = { ...layout.font, size: 10 };
     layout.xaxis.domain = [0, 1];
+    stack(layout, traces);
     for (const [name, own] of Object.entries(layout)) {
-      if (name.startsWith("legend")) {
-        layout[name] = { ...own, x: 0, orientation: "h", font: { size: 9 }, bgcolor: "rgba(255,255,255,.6)" };
-      }
-      if (name.startsWith("yaxis")) layout[name] = { ...own, title: { ...own.title, standoff: 0 }, nticks: 5 };
+      if (!name.startsWith("yaxis")) continue;
+      const title = { ...own.title, standoff: 0, font: { size: 9 } };
+      layout[name] = { ...own, title, ...(own.type === "category" ? {} : { nticks: 5 }) };
     }
+  }
+
+  // Panels as high as they were, one below the other, each with room for the rows of its legend.
+  function stack(layout, traces) {
+    const { margin } = layout;
+    const whole_px = layout.height - margin.t - margin.b;
+    const axes = Object.keys(layout).filter((name) => name.startsWith("yaxis"));
+    const panels = axes.map((name) => {
+      const legend = name.replace("yaxis", "legend");
+      const own = traces.filter((trace) => trace.legend === legend && trace.showlegend !== false);
+      const above_px = LEGEND.gap_px + LEGEND.row_px * Math.ceil(own.length / LEGEND.columns);
+      return { name, legend, above_px, high_px: whole_px * (layout[name].domain[1] - layout[name].domain[0]) };
+    });
+    const total_px = panels.reduce((sum, panel) => sum + panel.above_px + panel.high_px, 0);
+    let below_px = total_px;
+    for (const { name, legend, above_px, high_px } of panels) {
+      const top = (below_px - above_px) / total_px;
+      below_px -= above_px + high_px;
+      layout[name] = { ...layout[name], domain: [Math.max(0, below_px / total_px), top] };
+      layout[legend] = {
+        ...layout[legend], x: 0, y: top, yanchor: "bottom", orientation: "h", font: { size: 9 },
+        entrywidth: 1 / LEGEND.columns, entrywidthmode: "fraction",
+      };
+    }
+    layout.height = total_px + margin.t + margin.b;
+  }
+
+  // The names of moments above the traces, each in the lowest row where it covers no other one and
+  // inside the page.
+  function nameMoments(layout, width_px) {
+    const { xaxis, margin } = layout;
+    const [from, to] = xaxis.range;
+    const plot_px = (width_px - margin.l - margin.r) * (xaxis.domain[1] - xaxis.domain[0]);
+    const most_px = width_px - margin.l;
+    const rows = [];
+    layout.annotations = layout.annotations.map((own) => {
+      if (own.yref !== "paper" || own.y !== 1) return own;
+      const half_px = 3.2 * own.text.length + 3;
+      const at_px = ((own.x - from) / (to - from)) * plot_px;
+      const middle_px = Math.min(Math.max(at_px, half_px - margin.l), most_px - half_px);
+      const free = (row) => row.every((other) => Math.abs(other.middle_px - middle_px) > other.half_px + half_px);
+      let level = rows.findIndex(free);
+      if (level < 0) level = rows.push([]) - 1;
+      rows[level].push({ middle_px, half_px });
+      return { ...own, xanchor: "center", xshift: middle_px - at_px, yshift: 15 * level };
+    });
+    layout.margin = { ...margin, t: 8 + 15 * Math.max(1, rows.length) };
   }
 
   function draw(shift) {
@@ -34,12 +82,15 @@
       layout[name] = { ...data.common[name], ...own };
     }
     const own = structuredClone(layout);
-    fit(own);
-    Plotly.react(figure, shift.data, own, config);
+    fit(own, shift.data);
+    nameMoments(own, figure.clientWidth);
+    const icons = narrow.matches ? { displayModeBar: false } : {};
+    Plotly.react(figure, shift.data, own, { ...config, ...icons });
   }
 
   function tell(shift) {
     document.getElementById("title").textContent = shift.title;
+    document.getElementById("cause").textContent = shift.cause;
     const rows = shift.account.map((cells) => {
       const row = document.createElement("tr");
       for (const [i, text] of cells.entries()) {

@@ -12,6 +12,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.figures import shift_figure
 from meshpoint.testbench.report.layout import common_layout
@@ -55,9 +56,15 @@ def report_provenance(
     }
 
 
-def gather(name: str, frames: Iterable[Frame], header: RunHeader, notes: list[str]) -> ReportRun:
-    """A run from the frames of its bus."""
-    collector = ReportCollector(header.sheet, aim_rad(header), header.settings)
+def gather(
+    name: str,
+    frames: Iterable[Frame],
+    header: RunHeader,
+    notes: list[str],
+    beliefs: Beliefs | None = None,
+) -> ReportRun:
+    """A run from the frames of its bus; `beliefs`: of its controller."""
+    collector = ReportCollector(header.sheet, aim_rad(header), header.settings, beliefs)
     for frame in frames:
         collector.receive(frame)
     return ReportRun(name, collector.finish(), notes)

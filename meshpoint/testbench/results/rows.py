@@ -34,6 +34,10 @@ CONTACT_KINDS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOT
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
 SOURCES: Final = ("measured", "restored", "narrowed")
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
+OVER: Final = (*ENDS, EngagementEvent.RELEASED)
+LOCK_WAIT_US: Final = 400_000
+"""A row waits so long after its shift's end for its gear to lock, since a sleeve may be measured in
+before the tooth has met its flank. The clutch's plates have met by then, or there are none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +82,8 @@ def _rounded(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 class RowCollector:
-    """Pairs each outcome with the first contact of the gear it went for."""
+    """Pairs each outcome with the first contact of the gear it went for. The last row is added to
+    until its gear has locked and its clutch has closed, which may come after the outcome."""
 
     def __init__(
         self,
@@ -90,8 +95,9 @@ class RowCollector:
         self._settings = settings or ControllerSettings()
         self._pitch_deg = sheet.dog.pitch_rad / DEG
         self._target_rad = target_phase_rad
-        self._contacts: list[ReferenceEngagement] = []
         self._events: list[ReferenceEngagement] = []
+        self._meeting: _Meeting | None = None
+        """Of the last row, while its gear has not locked."""
         self._road = RoadSpeed()
         self._closing_since_us: int | None = None
         """From here on the last row waits for the plates to meet."""
@@ -99,28 +105,44 @@ class RowCollector:
 
     def take(self, message: Message) -> None:
         """One message in bus order."""
-        kind = type(message)
         if isinstance(message, ReferencePhase):
             self._road.take(message)
-            return
-        if kind is not ReferenceEngagement and kind is not ShiftOutcome:
-            return
-        if isinstance(message, ReferenceEngagement):
-            self._events.append(message)
-            if message.event is EngagementEvent.READY:
-                self._contacts.clear()
-                self._events.clear()
-                self._closing_since_us = None
-            elif message.event in CONTACT_KINDS:
-                self._contacts.append(message)
-            elif message.event is EngagementEvent.PLATES_MET:
-                self._plates_met(message.event_time_us)
+        elif isinstance(message, ReferenceEngagement):
+            self._event(message)
         elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
-            self._closing_since_us = closing_since_us(self._events, message.end_time_us)
-            self.rows.append(self._row(message))
+            self._ended(message)
+
+    def _event(self, event: ReferenceEngagement) -> None:
+        self._events.append(event)
+        if event.event is EngagementEvent.READY:
+            self._events.clear()
+            self._meeting = self._closing_since_us = None
+        elif event.event is EngagementEvent.PLATES_MET:
+            self._plates_met(event.event_time_us)
+        elif self._meeting is not None:
+            self._after_the_end(event, self._meeting)
+
+    def _after_the_end(self, event: ReferenceEngagement, meeting: _Meeting) -> None:
+        """What gear and sleeve of the last row do after their shift's end, until they have
+        locked."""
+        is_late = span_us(event.event_time_us, self.rows[-1].end_us) > LOCK_WAIT_US
+        if is_late or (event.gear, event.event) == (meeting.gear, EngagementEvent.RELEASED):
+            self._meeting = None
+        elif event.gear == meeting.gear:
+            meeting.events.append(event)
+            self.rows[-1] = replace(self.rows[-1], **meeting.cost()._asdict())
+            self._meeting = None if meeting.is_over else meeting
+
+    def _ended(self, outcome: ShiftOutcome) -> None:
+        gear = MainGear(DRIVE_GEARS[outcome.to_gear].main)
+        meeting = _Meeting(gear, [event for event in self._events if event.gear == gear])
+        self._closing_since_us = closing_since_us(self._events, outcome.end_time_us)
+        self.rows.append(self._row(outcome, meeting))
+        self._meeting = None if meeting.is_over else meeting
+        self._events.clear()
 
     def _plates_met(self, time_us: int) -> None:
-        """The clutch of the last shift is closing: its row is complete."""
+        """The clutch of the last shift is closing: its row has all its parts."""
         since_us, self._closing_since_us = self._closing_since_us, None
         if since_us is None:
             return
@@ -128,13 +150,9 @@ class RowCollector:
         closing_ms = span_us(time_us, since_us) / 1000
         self.rows[-1] = replace(row, phases=replace(row.phases, closing_ms=closing_ms))
 
-    def _row(self, outcome: ShiftOutcome) -> ShiftRow:
-        target = DRIVE_GEARS[outcome.to_gear].main
-        contact = next((c for c in self._contacts if c.gear == MainGear(target)), None)
-        cost = _cost([event for event in self._events if event.gear == MainGear(target)])
+    def _row(self, outcome: ShiftOutcome, meeting: _Meeting) -> ShiftRow:
+        contact = meeting.first_contact
         parts = parts_of(self._events, outcome.request_time_us, outcome.end_time_us)
-        self._contacts.clear()
-        self._events.clear()
         known = outcome.reference is PhaseReference.KNOWN
         phase = slip = delay = None
         lost_m_s = self._road.lost_m_s(outcome.request_time_us, outcome.end_time_us)
@@ -163,10 +181,7 @@ class RowCollector:
             contact_us=contact.event_time_us if contact else None,
             end_us=outcome.end_time_us,
             fault=outcome.fault.name.lower(),
-            impact_j=cost.impact_j,
-            face_ms=cost.face_us / 1000,
-            ratchets=cost.ratchets,
-            blocked=cost.blocked,
+            **meeting.cost()._asdict(),
             reference_source=outcome.reference_source.name.lower(),
             phases=parts,
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
@@ -176,29 +191,53 @@ class RowCollector:
 
 
 class _Cost(NamedTuple):
+    """Figures of a row."""
+
     impact_j: float
-    face_us: int
+    impact_complete: bool
+    face_ms: float
     ratchets: int
     blocked: int
 
 
-def _cost(events: list[ReferenceEngagement]) -> _Cost:
-    """What all attempts of a shift have cost, by the rig's tallies; time on the face also from the
-    events, since the preset thesis keeps no tally."""
-    ends = [event for event in events if event.event in ENDS]
-    on_face_us, since_us = 0, None
-    for event in events:
-        if event.event is EngagementEvent.TOOTH_CONTACT:
-            since_us = event.event_time_us
-        elif since_us is not None and event.event in OFF_FACE:
-            on_face_us += span_us(event.event_time_us, since_us)
-            since_us = None
-    return _Cost(
-        impact_j=sum(end.impact_energy_j for end in ends),
-        face_us=max(on_face_us, sum(end.face_time_us for end in ends)),
-        ratchets=sum(end.ratchets for end in ends),
-        blocked=sum(end.blocked for end in ends),
-    )
+class _Meeting(NamedTuple):
+    """What the rig has reported of sleeve and gear in one shift."""
+
+    gear: MainGear
+    events: list[ReferenceEngagement]
+
+    @property
+    def first_contact(self) -> ReferenceEngagement | None:
+        """None: they have not met."""
+        return next((event for event in self.events if event.event in CONTACT_KINDS), None)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether they are apart, or locked: what has met strikes no more."""
+        return not self.events or self.events[-1].event in OVER
+
+    def cost(self) -> _Cost:
+        """What all attempts have cost, by the rig's tallies; time on the face also from the events,
+        since the preset thesis keeps no tally."""
+        ends = [event for event in self.events if event.event in ENDS]
+        on_face_us, since_us = 0, None
+        for event in self.events:
+            if event.event is EngagementEvent.TOOTH_CONTACT:
+                since_us = event.event_time_us
+            elif since_us is not None and event.event in OFF_FACE:
+                on_face_us += span_us(event.event_time_us, since_us)
+                since_us = None
+        return _Cost(
+            # A gear that has not locked has struck nothing; in logs of an older rig it has the old
+            # gear's impact, where the sleeve was pulled through.
+            impact_j=sum(
+                end.impact_energy_j for end in ends if end.event is EngagementEvent.LOCKED
+            ),
+            impact_complete=self.is_over,
+            face_ms=max(on_face_us, sum(end.face_time_us for end in ends)) / 1000,
+            ratchets=sum(end.ratchets for end in ends),
+            blocked=sum(end.blocked for end in ends),
+        )
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,11 @@ class ShiftFigures:
     """Where the sleeve stood after the last abort, from neutral, negative towards first and crawl;
     None without one."""
     impact_j: float = 0.0
-    """Lost in flank impacts until the gear was locked, all attempts; 0 in the preset thesis."""
+    """Lost in flank impacts until the gear was locked, all attempts, by the rig's truth; 0 in the
+    preset thesis."""
+    impact_complete: bool = True
+    """False: sleeve and gear had met and not locked 0.4 s after the shift's end, or when the log
+    ended; what a later impact took is not in `impact_j`."""
     face_ms: float = 0.0
     """Tooth on tooth, all attempts."""
     ratchets: int = 0
@@ -52,4 +56,5 @@ class ShiftFigures:
     blocked: int = 0
     """Attempts in which sleeve and gear stuck tooth on tooth."""
     bound_ms: float | None = None
-    """The kinematic bound; None where there is none, or what was drawn for the rig is not known."""
+    """The kinematic minimum of the duration; None where there is none, or what was drawn for the
+    rig is not known."""

@@ -106,7 +106,7 @@ def _derived(sheet: GearboxSheet, figures: SheetFigures) -> str:
         f"\nspread {figures.spread:.2f}; coprime wheel pairs, whose teeth all meet: {coprime}\n"
         f"dog teeth {dog.teeth}: pitch {math.degrees(dog.pitch_rad):.3f} deg, "
         f"gap {math.degrees(dog.backlash_rad):.3f} deg = {1e3 * figures.gap_m:.2f} mm on "
-        f"{1e3 * dog.radius_m:.0f} mm, met by luck {100 * dog.backlash_share:.0f} times of 100\n"
+        f"{1e3 * dog.radius_m:.0f} mm, met by chance {100 * dog.backlash_share:.0f} times of 100\n"
         f"sleeve: contact {1e3 * sleeve.delay_s:.0f} ms +- {1e3 * sleeve.delay_limit_s:.0f} ms "
         f"after its valve; that spread alone stays in the gap {bound}\n"
         f"layshaft, clutch open: {low_inertia:.4f} kg m2 in low split, {high_inertia:.4f} in high; "

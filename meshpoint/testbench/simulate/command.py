@@ -24,6 +24,7 @@ from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
@@ -194,9 +195,9 @@ def run(namespace: argparse.Namespace) -> int:
     out = console(namespace.json)
     check_report(namespace.report)
     prepare_once(thesis=preset is Preset.THESIS)  # after all that may be wrong
-    collector = None
+    collector, beliefs = None, Beliefs()
     if namespace.report is not None:
-        collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings)
+        collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings, beliefs)
     with ExitStack() as stack:
         log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
         if log is not None:
@@ -230,6 +231,7 @@ def run(namespace: argparse.Namespace) -> int:
             stop=stop,
             record=None if log is None else log.path.parent,
             apart=apart,
+            on_step=None if collector is None else beliefs.look,
         )
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))

@@ -217,12 +217,13 @@ class Story:
                     lasted = f" after {span_us(message.sample_time_us, on_us) / 1000:.0f} ms"
                 self._tell("gearbox", f"valve {name} off{lasted}")
         if isinstance(before, ValveStatus):
-            self._count(before.refused_count, message.refused_count, "activation refused")
-            self._count(before.expired_count, message.expired_count, "all valves off: no command")
+            refused, expired = message.refused_count, message.expired_count
+            self._count(before.refused_count, refused, "valve command rejected, late or too early")
+            self._count(before.expired_count, expired, "all valves off: no command")
 
     def _count(self, before: int, now: int, words: str) -> None:
         if now > before:
-            self._tell("gearbox", f"{words} ({now - before} x)")
+            self._tell("gearbox", f"{words} ({now - before})")
 
     def _status(self, message: ControllerStatus) -> None:
         before = self._newest.get(ControllerStatus)
