@@ -46,3 +46,14 @@ def test_it_begins_with_the_sheet_of_the_log_s_run_header(
     assert said.endswith("no run header says another (--gearbox)")
     assert main(["identify", str(log), "-o", str(tmp_path / "found.toml")]) == 2
     assert "needs --gearbox" in capsys.readouterr().err
+
+
+def test_a_log_that_is_named_twice_is_refused(
+    log: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """By its own name, by another one, and by its folder: its shifts would count twice."""
+    alias = tmp_path / "alias.log"
+    alias.symlink_to(log)
+    for again in (log, alias, log.parent):
+        assert main(["identify", str(log), str(again)]) == 2
+        assert "is the same log as" in capsys.readouterr().err

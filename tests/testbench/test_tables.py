@@ -43,7 +43,8 @@ from meshpoint.testbench.commission.command import measured_table
 from meshpoint.testbench.compare import command as compare_command
 from meshpoint.testbench.identify.command import checks_table, figures_table
 from meshpoint.testbench.identify.held_out import HeldOut
-from meshpoint.testbench.identify.identified import Figure
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.testbench.live.describe import faults_table, parameters_table
 from meshpoint.testbench.logs.captures import CaptureRow
 from meshpoint.testbench.logs.seen_shift import SeenShift
@@ -194,10 +195,13 @@ TABLES: dict[str, Callable[[], Table]] = {
         [{"key": "clutch.kiss_tolerance_percent", "measured": 3.25, "sheet": 5.0, "how": "of " * 9}]
     ),
     "identify.command.figures_table": lambda: figures_table(
-        [Figure("brake.valve_time_constant", "ms", 12.34, 11.98, 12.71, 12.5, 120)]
+        [
+            replace(one, value=-0.01234, low=-0.01987, high=-0.01123, sheet=-0.01234, samples=1234)
+            for one in identify(LogContent(), load_sheet("truck12")).figures
+        ]
     ),
     "identify.command.checks_table": lambda: checks_table(
-        [HeldOut("sleeve delay, first gear", "ms", 120, 0.1234, 0.5678)]
+        [HeldOut("layshaft speed at the end of a run", "rpm", 12_345, 0.00012345, 0.00012345)]
     ),
     "captures.command.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "captures.command.errors_table": lambda: captures_command.errors_table([CAPTURE]),

@@ -77,7 +77,7 @@ def run(namespace: argparse.Namespace) -> int:
     check_writable(namespace.json)
     if namespace.output is not None:
         check_writable(str(namespace.output))
-    files = log_files(namespace.log)
+    files = _each_once(log_files(namespace.log))
     sheet, gearbox, said = _sheet(namespace, files)
     if said is not None:
         complain(said)
@@ -106,6 +106,19 @@ def run(namespace: argparse.Namespace) -> int:
     if log.interrupted:
         return Exit.INTERRUPTED
     return Exit.NOT_DECIDED if found.refused else Exit.DONE
+
+
+def _each_once(files: list[Path]) -> list[Path]:
+    """These files. CommandError where one is named twice, by whatever name: its samples would count
+    twice, and intervals come out too narrow."""
+    seen: dict[Path, Path] = {}
+    for path in files:
+        before = seen.setdefault(path.resolve(), path)
+        if before is not path:
+            raise CommandError(
+                f"{path}: is the same log as {before}; each log counts once, so name it once"
+            )
+    return files
 
 
 def _sheet(
@@ -207,8 +220,9 @@ def figures_table(figures: Sequence[Figure], title: str = "identified") -> Table
     """What was identified, with intervals, beside the data sheet."""
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for column in COLUMNS:
-        left = column in ("figure", "unit")
-        table.add_column(column, justify="left" if left else "right", no_wrap=True)
+        is_name = column in COLUMNS[:2]
+        # A name may take two lines, a number never: at 80 columns it would be cut.
+        table.add_column(column, justify="left" if is_name else "right", no_wrap=not is_name)
     for one in figures:
         interval = f"{_number(one.low)} to {_number(one.high)}"
         sheet, samples = _number(one.sheet), str(one.samples)
@@ -220,8 +234,8 @@ def checks_table(checks: Sequence[HeldOut]) -> Table:
     """Errors of predictions, each by the samples that were kept out."""
     table = Table(title="RMS errors", title_justify="left", box=None, pad_edge=False)
     for column in CHECK_COLUMNS:
-        left = column in CHECK_COLUMNS[:2]
-        table.add_column(column, justify="left" if left else "right", no_wrap=True)
+        is_name = column in CHECK_COLUMNS[:2]
+        table.add_column(column, justify="left" if is_name else "right", no_wrap=not is_name)
     for one in checks:
         own, by_sheet = _number(one.identified), _number(one.by_sheet)
         table.add_row(one.name, one.unit, own, by_sheet, str(one.samples))
