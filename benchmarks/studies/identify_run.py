@@ -124,6 +124,8 @@ class _Truth:
         self._real = as_built_sheet(sheet, built)
         self._content = content
         self._disc_k = disc_k
+        delays = TruckDelays(np.random.Generator(np.random.PCG64(0)), self._real, built)
+        self._valves = SleeveValves(delays, self._real, built)
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
         wheels = sheet.wheels
         self._wheels = {
@@ -136,9 +138,13 @@ class _Truth:
         }
 
     def reported(self) -> list[Reported]:
-        """Every figure that has a truth."""
-        truths = {**self._brake(), **self._sleeves(), **self._of_wheels()}
+        """Every figure that has a truth. ValueError where one is printed that has none: its
+        interval would be held against nothing."""
+        truths = {**self._brake(), **self._sleeves(), **self._valves_ms(), **self._of_wheels()}
         truths["clutch kiss point"] = 100.0 * self._built["clutch.kiss"]
+        for one in self._found.figures:
+            if one.value is not None and one.name not in truths:
+                raise ValueError(f"{one.name}: is printed, and the study knows no truth of it")
         return [
             Reported(
                 one.name,
@@ -201,9 +207,7 @@ class _Truth:
 
     def _sleeves(self) -> dict[str, float]:
         """Means at the data sheet's supply pressure, after the rests that the log shows."""
-        built = self._built
-        rng = np.random.Generator(np.random.PCG64(0))
-        valves = SleeveValves(TruckDelays(rng, self._real, built), self._real, built)
+        built, valves = self._built, self._valves
         fitted = sleeve_fit(self._content)
         if fitted is None:
             return {}
@@ -218,6 +222,14 @@ class _Truth:
         noise, limit = built["sleeve.noise_sd_ms"], built["sleeve.noise_limit_ms"]
         spread = _cut_sd(noise, limit) ** 2 + float(np.mean(variances)) / MS**2
         return found | {"sleeve delay spread": math.sqrt(spread)}
+
+    def _valves_ms(self) -> dict[str, float]:
+        """From a coil to its spool, without chance and without what a long rest adds."""
+        return {
+            f"sleeve valve {gear.name.lower()} {name} delay": self._valves.mean_s(valve, on) / MS
+            for gear, valve in VALVE_OF_MAIN.items()
+            for on, name in ((True, "on"), (False, "off"))
+        }
 
     def _stuck_s(self, gear: MainGear) -> list[float]:
         """What the rest of its valve before each stroke into a gear added; the log shows the

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.sleeve.answers import Halt
-from meshpoint.controller.sleeve.cylinder import PARAMETERS, TO_REST, TO_TIME, TO_TURN
+from meshpoint.controller.sleeve.cylinder import TO_REST, TO_TURN
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stroke import to_contact
@@ -63,24 +63,6 @@ def latest_from_neutral_us(sleeve: DrivenSleeve, direction: int) -> int | None:
     fired = [Switch(0, valve_towards(direction), True)]
     contact_us = to_contact(sleeve, direction, fired).crossed_us or 0.0
     return latest_abort_us(sleeve, direction, fired, 0, int(contact_us))
-
-
-def stopping_m(sleeve: DrivenSleeve, direction: int) -> tuple[float, float] | None:
-    """How far such a sleeve still goes after its latest abort, and the deviation of that; None
-    where it cannot be stopped."""
-    at_us = latest_from_neutral_us(sleeve, direction)
-    if at_us is None:
-        return None
-    fired = [Switch(0, valve_towards(direction), True)]
-    switches = aborted(fired, direction, at_us, LONGEST_PULSE_US)
-
-    def goes_m(unknowns: Vector) -> Vector:
-        known = np.ascontiguousarray(unknowns[:, : PARAMETERS + 1])
-        begins = sleeve.ways(known, fired, ending=TO_TIME, until_us=at_us).states[:, 0]
-        return _gets_m(sleeve, direction, switches, unknowns) - direction * begins
-
-    expected_m = float(goes_m(sleeve.unknowns(switches)[np.newaxis])[0])
-    return expected_m, sleeve.sd(goes_m, switches, expected_m)
 
 
 def halted(sleeve: DrivenSleeve, direction: int, at_us: int) -> Halt:
