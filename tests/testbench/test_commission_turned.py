@@ -42,6 +42,7 @@ from meshpoint.testbench.commission.measured import (
     _meshes,
     _wheels,
     commissioned,
+    value_of,
     with_entries,
 )
 from meshpoint.testbench.commission.rehearsal import (
@@ -53,8 +54,8 @@ from meshpoint.testbench.commission.rehearsal import (
 )
 from meshpoint.testbench.commission.roles import Turning, judge_turning
 from meshpoint.testbench.commission.running import RunningCore
+from meshpoint.testbench.commission.standing import standing_figures
 from meshpoint.testbench.commission.trial import EXPECTED
-from meshpoint.testbench.commission.verdict import measured_sheet
 from meshpoint.testbench.commission.wheels import (
     GEAR_STATES,
     HIGH_STATE,
@@ -80,6 +81,13 @@ def turned() -> tuple[GearboxSheet, WholeCommission, float]:
     VirtualTime([core, rig], [3_000, 1_000]).run(lambda: core.done, 300_000_000)
     assert rig.as_built is not None
     return sheet, core, rig.as_built["clutch"]["kiss"]
+
+
+@pytest.fixture(scope="module")
+def found(turned) -> Commissioned:
+    """What was measured of that box."""
+    _, core, _ = turned
+    return commissioned(core, withheld(TRUCK), "0", "2026-01-01T00:00:00Z")
 
 
 def test_every_tooth_count_and_every_ratio_is_found_without_a_sheet(turned) -> None:
@@ -108,10 +116,9 @@ def test_the_kiss_point_is_found_by_the_input_shaft(turned) -> None:
     assert float(np.median(shares)) == pytest.approx(kiss, abs=0.015)
 
 
-def test_the_law_of_the_sleeves_is_told_and_goes_into_the_calibration(turned) -> None:
+def test_the_law_of_the_sleeves_is_told_and_goes_into_the_calibration(turned, found) -> None:
     """Of the valves of a box, whose data sheet is withheld."""
-    sheet, core, _ = turned
-    found = commissioned(core, withheld(TRUCK), "0", "2026-01-01T00:00:00Z")
+    sheet, _, _ = turned
     delays_ms = [one.value for one in found.sleeve_law]
     assert delays_ms
     assert abs(np.median(delays_ms) - 1e3 * sheet.sleeve.valve_delay_s) < 2.0
@@ -121,6 +128,23 @@ def test_the_law_of_the_sleeves_is_told_and_goes_into_the_calibration(turned) ->
     assert laws.crawl_third is not None
     assert laws.crawl_third.movements > 4
     assert found.calibration.sleeves.third is not None
+
+
+def test_every_figure_has_an_interval_that_holds_what_the_box_is(turned, found) -> None:
+    """But for counts of teeth and for a tolerance; the clean box is within 5 % of its sheet. The
+    brake's delay is measured by turning: no bound of it is left."""
+    sheet, _, _ = turned
+    without = "teeth_driving", "teeth_driven", "teeth", "kiss_tolerance_percent"
+    measured = [one for one in found.entries if one.key not in without]
+    off = []
+    for one in measured:
+        assert one.low is not None and one.high is not None, one
+        truth = value_of(sheet, one.table, one.key)
+        if not one.low - 0.05 * truth < truth < one.high + 0.05 * truth:
+            off.append((one, truth))
+    assert len(off) <= 0.2 * len(measured), off
+    assert {"valve_delay_ms", "open_delay_ms", "close_delay_ms"} <= {one.key for one in measured}
+    assert "brake.valve_delay_ms" not in {one.subject for one in found.findings}
 
 
 def test_a_sound_box_that_was_turned_is_called_sound(turned) -> None:
@@ -133,8 +157,9 @@ def test_a_sound_box_that_was_turned_is_called_sound(turned) -> None:
 def test_a_measured_sheet_can_be_written_and_read_back(turned) -> None:
     """Values as measured, of all their digits, are those of no file."""
     _, core, _ = turned
-    measured, changed = measured_sheet(withheld(TRUCK), core.standing)
-    assert changed
+    entries, _ = standing_figures(withheld(TRUCK), core.standing)
+    assert entries
+    measured = with_entries(withheld(TRUCK), entries)
     text = to_toml(groups_of(GearboxSheet, measured), "measured")
     assert read_group(GearboxSheet, parse_toml(text, "x"), "x") == measured
 

@@ -192,7 +192,15 @@ TABLES: dict[str, Callable[[], Table]] = {
         ]
     ),
     "commission.command.measured_table": lambda: measured_table(
-        [{"key": "clutch.kiss_tolerance_percent", "measured": 3.25, "sheet": 5.0, "how": "of " * 9}]
+        [
+            {
+                "key": "clutch.kiss_tolerance_percent",
+                "measured": 3.25678,
+                "sheet": 5.0,
+                "interval": "0.01234 to 0.05678",
+                "how": "of " * 9,
+            }
+        ]
     ),
     "identify.command.figures_table": lambda: figures_table(
         [

@@ -158,28 +158,46 @@ def _row(entry: Entry, sheet: GearboxSheet) -> dict[str, Any]:
     value = float(f"{entry.value:.6g}")
     of_sheet = value_of(sheet, entry.table, entry.key)
     key = f"{entry.table}.{entry.key}"
-    return {"key": key, "measured": value, "sheet": of_sheet, "how": entry.why}
+    return {
+        "key": key,
+        "measured": value,
+        "low": entry.low,
+        "high": entry.high,
+        "interval": entry.interval,
+        "sheet": of_sheet,
+        "how": entry.why,
+    }
 
 
 def measured_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """What was measured, by key of the data sheet, beside what the sheet had."""
     table = Table(title="measured", title_justify="left", box=None, pad_edge=False)
-    for column in ("key", "measured", "data sheet", "how"):
-        right = column in ("measured", "data sheet")
-        table.add_column(column, justify="right" if right else "left")
+    for column in ("key", "measured", "95 % interval", "data sheet", "how"):
+        left = column in ("key", "how")
+        table.add_column(column, justify="left" if left else "right")
     for row in rows:
-        table.add_row(row["key"], f"{row['measured']:g}", f"{row['sheet']:g}", row["how"])
+        values = f"{row['measured']:g}", row["interval"], f"{row['sheet']:g}"
+        table.add_row(row["key"], *values, row["how"])
     return table
 
 
 def _write(namespace: argparse.Namespace, found: Commissioned) -> None:
     """Data sheet and calibration, where they are asked for."""
     if namespace.out is not None:
-        keys = ", ".join(f"{entry.table}.{entry.key}" for entry in found.entries)
-        title = f"Data sheet {found.sheet.name}; measured: {keys or 'nothing'}."
+        keys = ", ".join(_words(entry) for entry in found.entries)
+        title = (
+            f"Data sheet {found.sheet.name}; measured, with 95 % intervals: {keys or 'nothing'}. "
+            "All else is as in the sheet that it began with."
+        )
         namespace.out.write_text(to_toml(groups_of(GearboxSheet, found.sheet), title), "utf-8")
     if namespace.calibration is not None and found.calibration is not None:
         save(namespace.calibration, found.calibration)
+
+
+def _words(entry: Entry) -> str:
+    """A measured key with its 95 % interval."""
+    within = f" ({entry.interval})" if entry.interval else ""
+    return f"{entry.table}.{entry.key}{within}"
 
 
 async def _on_bus(namespace: argparse.Namespace, guided: _Guided) -> None:

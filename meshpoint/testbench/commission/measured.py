@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
-from statistics import median
+from statistics import median, stdev
 from typing import Any, Final
 
 import numpy as np
@@ -30,7 +31,7 @@ from meshpoint.testbench.commission.edge_log import EdgeLog, State
 from meshpoint.testbench.commission.kiss import kiss_points
 from meshpoint.testbench.commission.roles import GROUP, RANGE_STATES, rate
 from meshpoint.testbench.commission.running import RunningCore
-from meshpoint.testbench.commission.verdict import measured_sheet
+from meshpoint.testbench.commission.standing import standing_figures
 from meshpoint.testbench.commission.wheels import (
     GEAR_STATES,
     SPLIT_STATES,
@@ -41,6 +42,7 @@ from meshpoint.testbench.commission.wheels import (
 from meshpoint.testbench.commission.whole import WholeCommission
 from meshpoint.testbench.identify.identified import Figure, Identified
 from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.jackknife import student
 from meshpoint.testbench.identify.log_reader import LogContent, LogReader
 from meshpoint.testbench.identify.overlay import Entry, entries
 from meshpoint.testbench.identify.sleeve_law import LAW_FIGURES
@@ -54,6 +56,10 @@ LEAST_WHEEL, MOST_WHEEL = 8, 200
 NEAR_COUNT: Final = 0.1
 """The engine's speed gives the input wheel's teeth to within this many."""
 LEAST_TOUCHES: Final = 5
+LEAST_SAMPLES: Final = 4
+"""Of a duty or a time: with fewer their scatter is not known."""
+MEDIAN_SHARE: Final = math.sqrt(math.pi / 2.0)
+"""Standard deviation of a median over that of the mean."""
 LEAST_KISS: Final = 0.02
 """A kiss point is known no better than so: it moves with wear and heat."""
 
@@ -76,9 +82,10 @@ class Commissioned:
         figures = self.identified.figures if self.identified is not None else []
         return [one for one in figures if one.name in LAW_FIGURES and one.value is not None]
 
-    def add(self, table: str, key: str, value: float, why: str) -> None:
-        """A measured value."""
-        self.entries.append(Entry(table, key, value, why))
+    def add(self, table: str, key: str, value: float, why: str, half: float | None = None) -> None:
+        """A measured value. half: of its 95 % interval; a count has none."""
+        ends = (None, None) if half is None else (value - half, value + half)
+        self.entries.append(Entry(table, key, value, why, *ends))
 
     def unknown(self, subject: str, text: str) -> None:
         """Something that was not measured."""
@@ -89,24 +96,21 @@ def commissioned(
     core: WholeCommission, sheet: GearboxSheet, version: str, written: str
 ) -> Commissioned:
     """From a box on which nothing was found miswired. What was not measured stays the sheet's."""
-    standing, measured = measured_sheet(sheet, core.standing)
-    found = Commissioned(standing)
-    for name in measured:
-        table, key = name.split(".")
-        found.add(table, key, value_of(standing, table, key), "at standstill")
+    measured, bounds = standing_figures(sheet, core.standing)
+    standing = with_entries(sheet, measured)
+    found = Commissioned(standing, measured)
     running = core.running
-    if running is None or not running.log.windows:
-        return found
-    _wheels(found, running.log)
-    _meshes(found, running.log)
-    for key, times in (("open_delay_ms", running.opening_s), ("close_delay_ms", running.closing_s)):
-        if times:
-            found.add("clutch", key, median(times) / MS, "by its position")
-    found.sheet = with_entries(standing, found.entries)
-    _kiss(found, running)
-    found.sheet = with_entries(standing, found.entries)
-    _identify(found, core.recorded)
-    _calibrate(found, core.recorded, version, written)
+    if running is not None and running.log.windows:
+        _wheels(found, running.log)
+        _meshes(found, running.log)
+        _clutch(found, running)
+        found.sheet = with_entries(standing, found.entries)
+        _kiss(found, running)
+        found.sheet = with_entries(standing, found.entries)
+        _identify(found, core.recorded)
+        _calibrate(found, core.recorded, version, written)
+    known = {f"{entry.table}.{entry.key}" for entry in found.entries}
+    found.findings += [bound for bound in bounds if bound.subject not in known]
     return found
 
 
@@ -144,9 +148,9 @@ def _wheels(found: Commissioned, log: EdgeLog) -> None:
             found.unknown(subject, "its teeth are too even to be distinguished: count them")
             continue
         found.add(f"wheels.{shaft}", "teeth", reported, "by their pattern")
-        duty = _duty(log, shaft)
-        if duty is not None:
-            found.add(f"wheels.{shaft}", "duty_percent", 100.0 * duty, "")
+        shares = [100.0 * share for share in _duty(log, shaft)]
+        if len(shares) >= LEAST_SAMPLES:
+            found.add(f"wheels.{shaft}", "duty_percent", median(shares), "", _half(shares))
 
 
 def _by_engine(found: Commissioned, log: EdgeLog, by_pattern: int | None) -> int | None:
@@ -162,8 +166,14 @@ def _by_engine(found: Commissioned, log: EdgeLog, by_pattern: int | None) -> int
     return teeth
 
 
-def _duty(log: EdgeLog, shaft: Shaft) -> float | None:
-    """The share of a pitch from rising to falling edge, on the average of all teeth."""
+def _half(samples: list[float]) -> float:
+    """Half the 95 % interval of a median of normal samples."""
+    scatter = stdev(samples) / math.sqrt(len(samples))
+    return student(len(samples) - 1) * MEDIAN_SHARE * scatter
+
+
+def _duty(log: EdgeLog, shaft: Shaft) -> list[float]:
+    """The share of a pitch from rising to falling edge, on the average of all teeth, by window."""
     shares = []
     for window in log.windows:
         rise, _ = log.edges(shaft, window)
@@ -173,7 +183,7 @@ def _duty(log: EdgeLog, shaft: Shaft) -> float | None:
             at = np.interp(fall, rise, np.arange(rise.size))
             turned = complex(np.exp(2j * np.pi * at).mean())
             shares.append(float(np.angle(turned)) / (2.0 * np.pi) % 1.0)
-    return median(shares) if shares else None
+    return shares
 
 
 def _meshes(found: Commissioned, log: EdgeLog) -> None:
@@ -226,6 +236,18 @@ def _whole_teeth(measured: Measured, mesh: Mesh) -> tuple[int, int]:
     return factor * reported.numerator, factor * reported.denominator
 
 
+def _clutch(found: Commissioned, running: RunningCore) -> None:
+    for key, times_s in (
+        ("open_delay_ms", running.opening_s),
+        ("close_delay_ms", running.closing_s),
+    ):
+        times = [one / MS for one in times_s]
+        if len(times) < LEAST_SAMPLES:
+            found.unknown(f"clutch.{key}", f"{len(times)} travels from end to end show it")
+            continue
+        found.add("clutch", key, median(times), "by its position", _half(times))
+
+
 def _kiss(found: Commissioned, running: RunningCore) -> None:
     teeth = found.sheet.wheels.input_.teeth
     edges_us = running.log.tracks[Shaft.INPUT, 0].times
@@ -235,8 +257,9 @@ def _kiss(found: Commissioned, running: RunningCore) -> None:
         found.unknown("clutch kiss point", text)
         return
     half = max(LEAST_KISS, 2.0 * float(shares.std(ddof=1)))
-    found.add("clutch", "kiss_percent", 100.0 * float(np.median(shares)), "by the input shaft")
-    found.add("clutch", "kiss_tolerance_percent", 100.0 * half, "two standard deviations")
+    kiss, half = 100.0 * float(np.median(shares)), 100.0 * half
+    found.add("clutch", "kiss_percent", kiss, "by the input shaft", half)
+    found.add("clutch", "kiss_tolerance_percent", half, "two standard deviations")
 
 
 def _content(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> LogContent:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import combinations
-from statistics import median
 from typing import Final
 
 from meshpoint.controller.valve_name import ValveName
-from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import (
@@ -23,8 +19,8 @@ from meshpoint.testbench.check.shafts import (
     ShaftCounts,
 )
 from meshpoint.testbench.commission.core import CommissionCore
-from meshpoint.testbench.commission.trial import BEGUN_M, EXPECTED, Trial
-from meshpoint.units import BAR, MM, MS, US
+from meshpoint.testbench.commission.trial import EXPECTED, Trial
+from meshpoint.units import MM
 
 GROUP: Final = "outputs"
 WIRED: Final = {moved: valve for valve, moved in EXPECTED.items()}
@@ -33,8 +29,6 @@ AWAY_M: Final = 2.0 * MM
 NEAR_TOOTH: Final = 0.02
 """A tooth count that would explain what was counted is a whole number to within this share."""
 NOT_FREE: Final = "the other main sleeve is not in neutral, or it was ended before"
-NEARLY_THERE: Final = 0.94
-"""Of the way to the gear: the last of it may be slowed by the faces."""
 SIDES: Final = {
     (Sleeve.FIRST_SECOND, -1): "first", (Sleeve.FIRST_SECOND, 1): "second",
     (Sleeve.CRAWL_THIRD, -1): "crawl", (Sleeve.CRAWL_THIRD, 1): "third",
@@ -168,72 +162,3 @@ def _explaining_count(
         if count != teeth[shaft] and abs(wanted / count - 1.0) < NEAR_TOOTH:
             return count if _fits(pairs, {**teeth, shaft: count}, {}) else None
     return None
-
-
-def measured_sheet(sheet: GearboxSheet, core: CommissionCore) -> tuple[GearboxSheet, list[str]]:
-    """The sheet with what was measured at standstill in place of what it had, and which values
-    these are. What cannot be measured at standstill stays the sheet's."""
-    changed = []
-    sleeve, brake, air = sheet.sleeve, sheet.brake, sheet.air
-    good = [t for t in core.trials if t.valve in EXPECTED and t.moved == [EXPECTED[t.valve]]]
-    trajectories = _trajectories_us(good, sheet.sleeve.to_contact_m)
-    if trajectories:
-        valve_s, delay_s = (median(us) * US for us in zip(*trajectories, strict=True))
-        if 0.0 <= valve_s <= 0.050 and valve_s + sleeve.delay_limit_s < delay_s <= 0.200:
-            sleeve = replace(sleeve, valve_delay_s=_in(MS, valve_s), delay_s=_in(MS, delay_s))
-            changed += ["sleeve.valve_delay_ms", "sleeve.delay_ms"]
-    braked = [t for t in core.trials if t.valve is ValveName.BRAKE and t.has_braked]
-    if braked:
-        delay_s, lag_s = _brake_trajectory(braked[0])
-        if not math.isnan(lag_s):
-            brake = replace(brake, valve_delay_s=_in(MS, delay_s), time_constant_s=_in(MS, lag_s))
-            changed += ["brake.valve_delay_ms", "brake.time_constant_ms"]
-    if core.supply_pa:
-        gauge_pa = median(core.supply_pa) - air.atmosphere_pa
-        air = replace(air, supply_gauge_pa=_in(BAR, gauge_pa))
-        changed.append("air.supply_gauge_bar")
-    return replace(sheet, sleeve=sleeve, brake=brake, air=air), changed
-
-
-def _in(unit: float, value: float) -> float:
-    """A measured value as a file's five digits give it back: a sheet holds what its file says."""
-    return float(f"{value / unit:.5g}") * unit
-
-
-def _trajectories_us(trials: list[Trial], to_contact_m: float) -> list[tuple[float, float]]:
-    """From activation to the first movement and to the gear's faces, of each main sleeve that was
-    pushed out of neutral. Behind the valve's delay the chamber's pressure grows linearly, and the
-    way with the cube of time."""
-    found = []
-    late, early = math.cbrt(NEARLY_THERE), math.cbrt(BEGUN_M / to_contact_m)
-    for trial in trials:
-        sleeve = EXPECTED[trial.valve][0]
-        if sleeve not in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
-            continue
-        begun_us = trial.reaches_us(sleeve, BEGUN_M)
-        there_us = trial.reaches_us(sleeve, NEARLY_THERE * to_contact_m)
-        if begun_us is not None and there_us is not None:
-            way_us = (there_us - begun_us) / (late - early)
-            valve_us = begun_us - early * way_us
-            found.append((valve_us, valve_us + way_us))
-    return found
-
-
-def _brake_trajectory(trial: Trial) -> tuple[float, float]:
-    """Delay and time constant of the brake's pressure, from its samples of 10 ms on the way up."""
-    top_pa = max(rise for _, rise in trial.pressure)
-    points = []
-    for after_us, rise_pa in trial.pressure:
-        if after_us >= 0 and rise_pa > 0.9 * top_pa:
-            break
-        if after_us >= 0 and rise_pa > 0.05 * top_pa:
-            points.append((after_us * US, -math.log(1.0 - rise_pa / top_pa)))
-    if len(points) < 2 or points[-1][1] <= points[0][1]:
-        return math.nan, math.nan
-    (t0, y0), (t1, y1) = points[0], points[-1]
-    lag_s = (t1 - t0) / (y1 - y0)
-    return _clip(t0 - y0 * lag_s, 0.0, 0.050), _clip(lag_s, 0.001, 0.5)
-
-
-def _clip(value: float, low: float, high: float) -> float:
-    return min(max(value, low), high)
