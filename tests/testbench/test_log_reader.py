@@ -314,3 +314,30 @@ def test_a_valve_has_one_activation_that_waits_and_off_at_once_ends_it() -> None
     assert valves.of(BRAKE, NOW_US + 2_000_000) == [
         Switch(NOW_US + 30_000, True, True), Switch(NOW_US + 50_000, False, False),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("first_ahead_us", "is_taken"), [(150_000, False), (100_000, True)])
+def test_an_activation_that_was_refused_is_refused_however_often_it_is_sent(
+    first_ahead_us: int, is_taken: bool
+) -> None:
+    """As the drivers do it: the first reception decides. A brake that stays on until it is switched
+    off at once has not been off at a commanded time before."""
+    valves, on_us, off_us = ValveSwitches(), NOW_US, NOW_US + first_ahead_us
+    valves.take(brake_at(on_us), on_us)
+    for at_us in range(0, first_ahead_us, 10_000):
+        valves.take(brake_at(off_us, ValveAction.OFF_AT), NOW_US + at_us)
+    valves.take(ValveCommand(brake_action=ValveAction.OFF_NOW), off_us + 30_000)
+    off = Switch(off_us, False, True) if is_taken else Switch(off_us + 30_000, False, False)
+    assert valves.of(BRAKE, NOW_US + 1_000_000) == [Switch(on_us, True, True), off]
+
+
+def test_an_activation_that_has_passed_is_not_taken_again() -> None:
+    """Switched on, off at once, and the old activation resent: the brake stays off."""
+    valves = ValveSwitches()
+    for at_us, command in (
+        (0, brake_at(NOW_US)),
+        (1_000, ValveCommand(brake_action=ValveAction.OFF_NOW)),
+        (1_500, brake_at(NOW_US)),
+    ):
+        valves.take(command, NOW_US + at_us)
+    assert [one.on for one in valves.of(BRAKE, NOW_US + 100_000)] == [True, False]

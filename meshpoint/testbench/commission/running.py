@@ -390,11 +390,13 @@ class RunningCore(HearingCore):
     def _pulse(self, valve: ValveName, during_us: int) -> Program:
         """Off at a time as exact as on: a fit of the pressure's fall goes by it."""
         self._activate(valve)
-        # Not before it is on: a valve keeps one pending activation.
-        yield from self._hold(LEAD_US)
+        # Not before it is on: a valve keeps one pending activation. And not long before it is off:
+        # one that is further ahead than 100 ms is refused.
+        on_us = max(during_us, LEAD_US)
+        yield from self._hold(on_us)
         if self._valve is not None:
             self._off_us = (self._valve[1] + during_us) & 0xFFFF_FFFF
-        yield from self._hold(during_us + LEAD_US)
+        yield from self._hold(during_us + 2 * LEAD_US - on_us)
         self._valve = self._off_us = None
 
     def _push(self, side: SleeveSide) -> None:

@@ -10,8 +10,8 @@ from meshpoint.gearbox import MainGear
 
 LATE_US: Final = 2_000
 AHEAD_US: Final = 100_000
-"""An activation that comes later than this, or for a time further ahead, is refused by the
-drivers."""
+"""An activation that first comes later than this, or for a time further ahead, is refused by the
+drivers, however often it is sent again."""
 VALVE_OF_GEAR: Final = {
     MainGear.CRAWL: "main_crawl",
     MainGear.FIRST: "main_first",
@@ -39,6 +39,9 @@ class _Slot:
         self.switches: list[Switch] = []
         self.late = 0
         self._pending: Switch | None = None
+        self._passed: Switch | None = None
+        self._refused: Switch | None = None
+        """The newest activations that have passed and that were refused: neither is taken again."""
 
     def take(self, action: ValveAction, stamp: int, now_us: int) -> None:
         self.run(now_us)
@@ -51,19 +54,25 @@ class _Slot:
         if wanted == self._pending:
             return
         self._pending = None
-        if at_us >= now_us:
-            if at_us - now_us <= AHEAD_US:
-                self._pending = wanted
-        elif now_us - at_us <= LATE_US:
-            self._switch(wanted)
-        elif all(switch.time_us != at_us for switch in self.switches):
-            self.late += 1
+        if wanted in (self._passed, self._refused):
+            return
+        if not -LATE_US <= at_us - now_us <= AHEAD_US:
+            self._refused = wanted
+            self.late += at_us < now_us
+        elif at_us <= now_us:
+            self._pass(wanted)
+        else:
+            self._pending = wanted
 
     def run(self, now_us: int) -> None:
         """What is due by now."""
         if self._pending is not None and self._pending.time_us <= now_us:
-            self._switch(self._pending)
+            self._pass(self._pending)
             self._pending = None
+
+    def _pass(self, activation: Switch) -> None:
+        self._passed = activation
+        self._switch(activation)
 
     def _switch(self, switch: Switch) -> None:
         if switch.on is not self.on:
