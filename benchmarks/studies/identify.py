@@ -25,7 +25,8 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import count, quantity, text
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.campaign.intervals import rate_interval, wilson
+from meshpoint.testbench.campaign.intervals import rate_interval
+from meshpoint.testbench.results.wilson import wilson
 
 COLUMNS: Final = ("figure", "unit", "reported", "covered", "half interval", "error", "data sheet's")
 CHECKS: Final = ("kept out", "unit", "identified", "data sheet")
