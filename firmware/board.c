@@ -23,6 +23,7 @@ void board_power_on(void) {
 static void cycle(struct hal_scan scans[HAL_SCANS], uint32_t sampled_us) {
 #if IMAGE_SENSOR
     sensor_cycle(scans, sampled_us);
+    hal_watchdog(); /* a cycle may take a tick's time, with interrupts between */
 #endif
 #if IMAGE_VALVE
     valve_cycle();
@@ -35,7 +36,7 @@ static void cycle(struct hal_scan scans[HAL_SCANS], uint32_t sampled_us) {
 #endif
 }
 
-/* The watchdog is kept content here and nowhere else: a main loop that is stuck resets the board. */
+/* The watchdog is told here and in `cycle` alone: a main loop that is stuck resets the board. */
 void board_poll(void) {
     struct hal_scan scans[HAL_SCANS];
     uint32_t sampled_us;

@@ -1,9 +1,9 @@
 #include "sensor.h"
 
 enum {
-    MOST_EDGES = 250,       /* in 10 ms: ten times what a wheel's teeth give at top speed */
+    MOST_EDGES = 108,       /* in 10 ms: four times what a frame holds */
     MOST_SLEEVE_UM = 20000, /* the range of the wire */
-    LATE_US = 10000 /* further ahead an edge is none of this clock's: it was set back */
+    LATE_US = 10000         /* further ahead an edge is none of this clock's: it was set back */
 };
 
 static struct edge_channel channels[HAL_CHANNELS];
@@ -78,6 +78,7 @@ void sensor_cycle(struct hal_scan scans[HAL_SCANS], uint32_t sampled_us) {
     read_edges();
     scans[0].oil_centidegree = within(scans[0].oil_centidegree, 4000, 30000);
     scans[0].clutch_basispoint = within(scans[0].clutch_basispoint, 0, 10000);
+    hal_watchdog(); /* what comes takes as long again */
     frames_send_reads(reads, now_us, &scans[0]);
 }
 

@@ -140,10 +140,10 @@ static bool is_stale(uint32_t waits_since_us) {
     return TIM5->CNT - waits_since_us > HAL_OLDEST_US;
 }
 
-/* Buffers of which one can be taken back send the lowest identifier first: to keep the order, a frame
- * waits until all in them have a lower one. With interrupts kept out. */
+/* Buffers of which one can be taken back send the lowest identifier first: to keep the order, a
+ * frame waits until all in them have a lower one. With interrupts kept out. */
 static void transmit(void) {
-    while (sent != queued && !is_cancelling && !(FDCAN1->TXFQS & BIT(21))) {
+    while (sent != queued && !is_cancelling && !hal_is_bus_off() && !(FDCAN1->TXFQS & BIT(21))) {
         const struct waiting *next = &queue[sent % QUEUE];
         uint32_t place = FDCAN1->TXFQS >> 16 & 3;
         if (FDCAN1->TXBRP != 0 && next->frame.id <= newest_id) {

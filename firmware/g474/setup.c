@@ -189,9 +189,9 @@ static void start_can(void) {
     FDCAN1->CCCR &= ~BIT(0);
 }
 
-/* 2 ms by an oscillator of its own, restarted each millisecond: with what an oscillator is off from
- * -40 to 125 degrees (29.5 to 34 kHz) and a count that is not whole, it resets where that comes within
- * 0.41 ms of the last time, and after 1.76 ms at the earliest. */
+/* 2 ms by an oscillator of its own, restarted each millisecond. With what that may be off (29.5 to 34
+ * kHz from -40 to 125 degrees) and a count that is not whole, it resets where a restart comes within
+ * 0.41 ms of the last one, and 1.76 ms behind it at the earliest. */
 static void start_watchdog(void) {
     IWDG->KR = 0xCCCC;
     IWDG->KR = 0x5555;

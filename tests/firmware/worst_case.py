@@ -44,7 +44,7 @@ BRANCHES: Final = ("b", "bl", "bx", "blx", "cbz", "cbnz", "tbb", "tbh")
 STACK_END, PAINTED, PAINT = 0x2001_8000, 4096, 0xA5
 FIFO: Final = 3
 """Elements of the CAN controller."""
-NOISE_EDGES: Final = 250
+NOISE_EDGES: Final = 110
 """Of one channel in a read: as many are taken."""
 
 

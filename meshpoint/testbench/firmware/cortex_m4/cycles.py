@@ -2,7 +2,7 @@
 
 An estimate from above by ARM DDI 0439 (instruction set summary): a load or store 2, a branch taken
 4, a division 12, a register more of a list 1; a wait state of the flash, and two more for an access
-that may be one of a peripheral or of flash.
+that may be one of a peripheral or of flash. To read a register is counted twice: there time goes on.
 """
 
 from __future__ import annotations

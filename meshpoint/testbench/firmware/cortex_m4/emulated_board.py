@@ -6,7 +6,8 @@ In the loop code and conversions take no time; a board that `takes_time` has the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from meshpoint.dbc.frame import Frame
@@ -66,6 +67,7 @@ class EmulatedBoard:
         """At port and pin, 65,520 is full scale; good ones."""
         self._preset = 0
         self._is_bus_dead = False
+        self._edges: deque[tuple[int, int]] = deque()
         self._until_us = self._cycles = 0  # the processor may run so long; what is left of a us
         self._outside = Outside(
             self.processor.read_memory, self.processor.write_memory, self.voltages,
@@ -100,6 +102,12 @@ class EmulatedBoard:
             self._run()
         self._go_to(max(end_us, self.own_us))
 
+    def _come(self) -> None:
+        """The edges that are due, each at what its timer counted then."""
+        while self._edges and self._edges[0][0] <= self.own_us:
+            at_us, channel = self._edges.popleft()
+            self.capture(channel, [self.chip.timers["TIM2"].count(at_us)])
+
     def receive(self, frame: Frame) -> None:
         """Into the CAN controller, where its pins are set up."""
         if self.chip.has_can:
@@ -109,6 +117,10 @@ class EmulatedBoard:
     def capture(self, channel: int, stamps_us: Sequence[int]) -> None:
         """Through the timer that captures them, at these counts."""
         self.chip.edges(WHEELS[channel // 2], rising=channel % 2 == 0, counts=stamps_us)
+
+    def pulse(self, channel: int, at_us: Iterable[int]) -> None:
+        """Edges of a channel that come at these own times, which lie ahead."""
+        self._edges = deque(sorted((*self._edges, *((each, channel) for each in at_us))))
 
     def read(self, analogue: Analogue) -> None:
         """Ten scans, the oldest first, each by a trigger of the ADCs."""
@@ -166,6 +178,8 @@ class EmulatedBoard:
 
     def _go_to(self, now_us: int) -> None:
         self.own_us = self.chip.now_us = now_us
+        if self._edges:
+            self._come()
 
     def _spend(self, cycles: int) -> bool:
         """The processor takes time; whether what there was of it is over."""

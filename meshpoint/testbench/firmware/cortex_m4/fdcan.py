@@ -219,7 +219,8 @@ class Fdcan(Peripheral):
         for buffer in range(FIFO):
             if not value >> buffer & 1:
                 continue
-            if buffer != self._put or self.value[TXBRP] >> buffer & 1:
+            is_next = buffer == self._put or self.value[TXBC] & IS_QUEUE
+            if not is_next or self.value[TXBRP] >> buffer & 1:
                 raise self.error(TXBAR, f"buffer {buffer} is requested; next is {self._put}, and "
                                         f"TXBRP is {self.value[TXBRP]}")  # fmt: skip
             self.value[TXBRP] |= 1 << buffer

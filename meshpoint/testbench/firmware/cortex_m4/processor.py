@@ -28,7 +28,7 @@ from meshpoint.testbench.firmware.cortex_m4.core_registers import (
     XPSR,
     CoreRegisters,
 )
-from meshpoint.testbench.firmware.cortex_m4.cycles import EXCEPTION, block_cycles
+from meshpoint.testbench.firmware.cortex_m4.cycles import ACCESS, EXCEPTION, block_cycles
 from meshpoint.testbench.firmware.cortex_m4.nvic import (
     BFAR,
     BUS_FAULT,
@@ -295,6 +295,8 @@ class Processor:
         self.unicorn.emu_stop()
 
     def _read(self, address: int, size: int) -> int:
+        if self._spend:
+            self._spend(ACCESS)  # between two registers that a block reads time goes on
         try:
             return self._bus.read(address, size)
         except RegisterError as error:
