@@ -70,13 +70,13 @@ static void start_converters(void) { /* their inputs are such outputs */
 }
 #else
 /* 32 bits from a register, all or 16 of them to memory, around in a circle. */
-enum { WHOLE = 2 << 10, HALF = 1 << 10, COMPLETE = 1 << 1 };
+enum { WHOLE = 0x800, HALF = 0x400, COMPLETE = 2 };
 
 static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg *from,
-                       volatile void *to, uint32_t count, uint32_t options) {
+                       uint32_t to, uint32_t count, uint32_t options) {
     DMAMUX[channel + (dma == DMA2 ? 8 : 0)] = request;
     dma->CH[channel].CPAR = (uint32_t)from;
-    dma->CH[channel].CMAR = (uint32_t)to;
+    dma->CH[channel].CMAR = to;
     dma->CH[channel].CNDTR = count;
     dma->CH[channel].CCR = BIT(0) | BIT(5) | BIT(7) | BIT(9) | options;
 }
@@ -84,8 +84,8 @@ static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg 
 /* Both edges of two inputs: units 1 and 2 capture the first one's, 3 and 4 the third one's. */
 static void start_capture(struct tim *tim, unsigned first, uint32_t request) {
     for (unsigned i = 0; i < 4; i++) {
-        start_ring(DMA1, first + i, request + i, &tim->CCR[i], edges_low_us[first + i], RING,
-                   HALF);
+        start_ring(DMA1, first + i, request + i, &tim->CCR[i], (uint32_t)edges_low_us[first + i],
+                   RING, HALF);
     }
     tim->CCMR[0] = 0x0201;
     tim->CCMR[1] = 0x0201;
@@ -131,10 +131,10 @@ static void start_converters(void) {
     ADC1->SQR[0] = 7 | FIELD(6, 6) | FIELD(7, 12) | FIELD(8, 18) | FIELD(9, 24);
     ADC1->SQR[1] = 12 | FIELD(14, 6) | FIELD(11, 12) | FIELD(2, 18);
     ADC2->SQR[0] = 3 | FIELD(4, 6) | FIELD(5, 12) | FIELD(11, 18) | FIELD(17, 24);
-    start_ring(DMA2, 0, 5, &ADC1->DR, scans_raw[0], TRANSMITTERS * HAL_SCANS,
+    start_ring(DMA2, 0, 5, &ADC1->DR, (uint32_t)scans_raw[0], TRANSMITTERS * HAL_SCANS,
                HALF | COMPLETE);
-    start_ring(DMA2, 1, 36, &ADC2->DR, levels_raw, HAL_WHEELS, HALF);
-    start_ring(DMA2, 2, 8, &TIM2->CNT, &scanned_us, 1, WHOLE); /* as TIM6 comes round */
+    start_ring(DMA2, 1, 36, &ADC2->DR, (uint32_t)levels_raw, HAL_WHEELS, HALF);
+    start_ring(DMA2, 2, 8, &TIM2->CNT, (uint32_t)&scanned_us, 1, WHOLE); /* as TIM6 comes round */
     start_adc(ADC1, BIT(0) | FIELD(3, 2)); /* 16 samples added */
     start_adc(ADC2, 0);
 }

@@ -1,4 +1,4 @@
-"""The watchdog's window: it is restarted neither too early nor too late, whatever there is to do."""
+"""The watchdog's window: it is restarted neither too early nor too late, whatever is to do."""
 
 from __future__ import annotations
 

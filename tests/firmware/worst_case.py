@@ -3,10 +3,9 @@
     python tests/firmware/worst_case.py --by gcc
 
 Cycles are an estimate from above: the image runs on the emulated board, and each instruction costs
-the most that it can (meshpoint/testbench/firmware/cortex_m4/cycles.py). At 80 MHz a cycle is 12.5 ns.
-What is asked of
-the board is meant to be the hardest: noise on all wheels up to the most that is taken, and three
-commands for all valves each millisecond, with times to keep.
+the most that it can (meshpoint/testbench/firmware/cortex_m4/cycles.py). At 80 MHz a cycle is 12.5
+ns. What is asked of the board is meant to be the hardest: noise on all wheels up to the most that
+is taken, and three commands for all valves each millisecond, with times to keep.
 The stack's bound is the compiler's (stack_bound.py); what was reached is beside it.
 """
 

@@ -2,7 +2,7 @@
 
 An estimate from above by ARM DDI 0439 (instruction set summary): a load or store 2, a branch taken
 4, a division 12, a register more of a list 1; a wait state of the flash, and two more for an access
-that may be one of a peripheral or of flash. To read a register is counted twice: there time goes on.
+that may be one of a peripheral or of flash. Reading a register is counted twice.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ def _wide(first: int, second: int) -> int:
         return ACCESS + (TO_PC if first & 0x10 and second >> 12 == 0xF else 0)
     if first & 0xFFD0 == 0xFB90 and second & 0xF0 == 0xF0:
         return DIVISION
-    is_branch = first & 0xF800 == 0xF000 and second & 0x8000 and (
-        second & 0x5000 or first & 0x0380 != 0x0380
+    is_branch = (
+        first & 0xF800 == 0xF000
+        and second & 0x8000
+        and (second & 0x5000 or first & 0x0380 != 0x0380)
     )
     return BRANCH if is_branch else PLAIN

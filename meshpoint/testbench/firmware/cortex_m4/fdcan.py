@@ -1,8 +1,8 @@
 """The CAN FD controller (RM0440, chapter FDCAN): frames in and out, message RAM, bus-off.
 
 A frame takes no time on its bus: the bus of the bench gives it one. What is requested is sent as
-the processor has come to rest, so that all transmit buffers can be full; they are a FIFO, or a queue
-that sends the lowest identifier first.
+the processor has come to rest, so that all transmit buffers can be full; they are a FIFO, or a
+queue that sends the lowest identifier first.
 """
 
 from __future__ import annotations

@@ -342,7 +342,8 @@ class Processor:
         if cycles is None:
             cycles = self._block_cycles[key] = block_cycles(self.read_memory(address, size))
         paid, self._paid = self._paid, 0
-        if paid != address and (self._spend(cycles) or self._bus.reset_by):
+        is_over = self._spend is not None and paid != address and self._spend(cycles)
+        if is_over or self._bus.reset_by:
             self._paid, self._is_out_of_time = address, True
             self._stop()
 
