@@ -18,7 +18,7 @@ from meshpoint.testbench.firmware.cortex_m4.emulated_board import (
 
 RAMP_US = 80_000
 """All inputs go through their range in this time: a sleeve at 0.5 m/s."""
-SLEEVE_WITHIN_US = 25
+SLEEVE_WITHIN_US = 30
 SLOW_WITHIN_US = 150
 SAMPLE_US = 1_000
 STROKE_M, BAR_10_PA, DEGREES_260_K = 0.04, 1e6, 260.0
