@@ -26,7 +26,7 @@ def noise(board: EmulatedBoard) -> None:
 
 
 @pytest.mark.parametrize("lsi_hz", [SLOWEST_HZ, FASTEST_HZ])
-@pytest.mark.parametrize("scan_us", [0, 130, 260, 500, 750])
+@pytest.mark.parametrize("scan_us", [130, 500, 750])
 def test_it_holds_with_noise_on_all_wheels_and_orders_for_all_valves(
     lsi_hz: int, scan_us: int
 ) -> None:
@@ -34,7 +34,7 @@ def test_it_holds_with_noise_on_all_wheels_and_orders_for_all_valves(
     board = timed_board(lsi_hz=lsi_hz)
     sender, rng = Transmitter(Node.TRANSMISSION_CONTROL), random.Random(48)
     board.chip.timers["TIM6"].show(scan_us, board.own_us)
-    for _ in range(24):
+    for _ in range(16):
         noise(board)
         board.receive(sender.encode(command(orders(rng, board.sensor_us))))
         board.advance(MS)
