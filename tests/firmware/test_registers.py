@@ -77,6 +77,7 @@ def bench() -> Bench:
         (IN_SETUP, (FDCAN + 0x18, 0), "FDCAN1.NBTP: 1500000 bit/s, sampled at 75 %; this bus has"),
         ((*CLOCKS, (FDCAN + 0x18, 1)), (FDCAN + 0x18, 0x101), "bits 0x0100 are changed without"),
         (CLOCKS, (FDCAN + 0xCC, 2), "FDCAN1.TXBAR: buffer 1 is requested; next is 0"),
+        (CLOCKS, (FDCAN + 0xD0, 1), "FDCAN1.TXBCR: is written while TXBC.TFQM is 0"),
         (CLOCKS, (FDCAN + 0x94, 0), "FDCAN1.RXF0A: element 0 is given back, of 0 from 0 on"),
         ((*CLOCKS, (DMA1 + 0xC, 8), (DMA1 + 8, 0x81)), (DMA1 + 0xC, 9),
          "DMA1.CNDTR1: is written while CCR1.EN is 1"),

@@ -18,6 +18,7 @@ from meshpoint.testbench.firmware.cortex_m4.emulated_board import (
 
 RAMP_US = 80_000
 """All inputs go through their range in this time: a sleeve at 0.5 m/s."""
+STEP_US, READ_BY_US = 2, 24_000
 SLEEVE_WITHIN_US = 30
 SLOW_WITHIN_US = 150
 SAMPLE_US = 1_000
@@ -26,22 +27,22 @@ STROKE_M, BAR_10_PA, DEGREES_260_K = 0.04, 1e6, 260.0
 
 @pytest.fixture(scope="module")
 def read() -> dict[str, Any]:
-    """The second read of a ramp, by the names of its messages. The ramp began at 0 us."""
+    """The last read on a ramp that began at 0 us, by the names of its messages."""
     board = timed_board()
     sent(board)
     found: dict[str, Any] = {}
-    while board.sensor_us < 35_000:
+    for _ in range(READ_BY_US // STEP_US):
         follow(board)
         found |= {type(each).__name__: each for each in sent(board)}
     return found
 
 
 def follow(board: EmulatedBoard) -> None:
-    """The inputs as they are now, for 2 us."""
+    """The inputs as they are now, for a step."""
     share = board.sensor_us / RAMP_US
     for pin in (*SLEEVES, *SLOW):
         board.voltages[pin] = round(LOWEST + share * (HIGHEST - LOWEST))
-    board.advance(2)
+    board.advance(STEP_US)
 
 
 def us(share: float) -> float:
