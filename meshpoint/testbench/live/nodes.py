@@ -11,6 +11,7 @@ from typing import Any
 
 import can
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.core import Core
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import (
@@ -26,7 +27,7 @@ from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import MAX_MAIN_SPEED_RPM, Preset, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
@@ -109,7 +110,7 @@ def add_rig_start(parser: arguments.Arguments) -> arguments.Arguments:
     """--gear and --main-speed; the group of which only one may be given."""
     parser.add_argument(
         "--gear",
-        type=arguments.whole(1, len(DRIVE_GEARS)),
+        type=given_numbers.whole(1, len(DRIVE_GEARS)),
         default=8,
         metavar="N",
         help="the gear it stands in at the start (default: 8)",
@@ -117,7 +118,7 @@ def add_rig_start(parser: arguments.Arguments) -> arguments.Arguments:
     speed = parser.add_mutually_exclusive_group()
     speed.add_argument(
         "--main-speed",
-        type=float,
+        type=given_numbers.number(0.0, MAX_MAIN_SPEED_RPM),
         default=RigSettings().main_speed_rpm,
         metavar="RPM",
         help="main shaft speed at the start (default: %(default)g)",
