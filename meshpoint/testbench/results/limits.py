@@ -83,10 +83,10 @@ def parse_limit(text: str) -> Limit:
         )
     try:
         value = float(found[3])
-        if not math.isfinite(value):
-            raise ValueError
     except ValueError:
-        raise ValueError(f"{text!r}: {found[3]!r} is no number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r}: {found[3]!r} is no number")
     return Limit(found[1], found[2], value / 100.0 if found[4] else value)
 
 
