@@ -118,7 +118,11 @@ def _parameters(known: dict[Conversion, str]) -> Iterator[str]:
     for row, each in enumerate(PARAMETERS):
         conversion = _conversion(known, Conversion(unit_of(each.rule.key)))
         address = hexadecimal(PAGE_ADDRESS + ROW_BYTES * row)
-        layout, low, high = "whole_value" if each.is_whole else "single_value", each.rule.low, each.rule.high
+        layout, low, high = (
+            "whole_value" if each.is_whole else "single_value",
+            each.rule.low,
+            each.rule.high,
+        )
         yield from block(
             "CHARACTERISTIC",
             f"{each.name} {quoted(meanings[each.name])}",

@@ -32,7 +32,7 @@ from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.pace import add_pace, clock_of
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import log_folder, recording, save_header, start_log
 from meshpoint.testbench.provenance import gearbox_words
@@ -139,7 +139,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
-    from meshpoint.controller.node import run_controller
+    from meshpoint.controller.node import OtherControllerError, run_controller
 
     if namespace.shadow:
         return run_shadow(namespace)
@@ -170,7 +170,12 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     address=controller_address(namespace),
                 )
 
-    lost = run_loop(run()).record_lines_lost
+    try:
+        lost = run_loop(run()).record_lines_lost
+    except OtherControllerError as error:
+        if writer is not None:
+            writer.close()
+        raise RunError(str(error)) from None
     if lost:
         complain(f"meshpoint controller: {lost} lines of its records could not be written")
     unwritten = writer.close() if writer is not None else None
