@@ -139,7 +139,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
-    from meshpoint.controller.node import OtherControllerError, run_controller
+    from meshpoint.controller.node import run_controller
+    from meshpoint.controller.only_one import OtherControllerError
 
     if namespace.shadow:
         return run_shadow(namespace)
