@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +17,6 @@ from meshpoint.controller.calibration.learned import (
     NoiseRecord,
     Provenance,
     ReferenceRecords,
-    SleeveLawRecords,
-    SleeveRecords,
     SwingRecords,
     WheelRecord,
     WheelRecords,
@@ -27,6 +27,7 @@ from meshpoint.controller.observer import Observer
 from meshpoint.controller.phase.reference_recovery import SavedReferences
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.gearbox import MainGear, Sleeve
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 
@@ -63,14 +64,13 @@ class Learned:
         self._header, self._observer, self._context = header, observer, context
         self._shifts = shifts
         self._learns = observer.recovery is not None
-        before = header.calibration
-        self._before = _nothing(header) if before is None else before
+        self._before = header.calibration
 
     @property
     def provenance(self) -> Provenance:
         """Whose figures these are; without the time of their writing."""
         version, sheet = self._header.version, self._header.sheet
-        earlier = self._before.provenance.shifts
+        earlier = 0 if self._before is None else self._before.provenance.shifts
         return Provenance(version, sheet.name, sheet.sha256, "", earlier + self._shifts)
 
     @cached_property
@@ -82,44 +82,62 @@ class Learned:
     def wheels(self) -> WheelRecords:
         """The teeth."""
         if self._saved is None:
-            return self._before.wheels
+            return WheelRecords() if self._before is None else self._before.wheels
         return WheelRecords(_record(self._saved.layshaft), _record(self._saved.main))
 
     @property
     def references(self) -> ReferenceRecords:
         """The phase references."""
         if self._saved is None:
-            return self._before.references
+            return ReferenceRecords() if self._before is None else self._before.references
         return _references(self._saved, self._header.sheet.dog.pitch_rad)
 
     @cached_property
     def brake(self) -> BrakeRecord | None:
         """The layshaft brake."""
-        return self._observer.brake.record() if self._learns else self._before.brake
+        if self._learns:
+            return self._observer.brake.record()
+        return None if self._before is None else self._before.brake
 
     @cached_property
     def noise(self) -> NoiseRecord | None:
         """Scatter and disturbance."""
-        return self._observer.noise() if self._learns else self._before.noise
+        if self._learns:
+            return self._observer.noise()
+        return None if self._before is None else self._before.noise
 
     @cached_property
     def swings(self) -> SwingRecords:
         """The driveline's swing."""
-        return self._observer.swings() if self._learns else self._before.swings
+        if self._learns:
+            return self._observer.swings()
+        return SwingRecords() if self._before is None else self._before.swings
 
     @cached_property
-    def sleeves(self) -> SleeveRecords:
-        """The delays of the gears."""
-        return self._context.sleeves.records()
+    def sleeves(self) -> ByName:
+        """The delays of the gears, each by its name."""
+        return ByName(lambda name: self._context.sleeves.record(MainGear[name.upper()]))
 
     @cached_property
-    def sleeve_laws(self) -> SleeveLawRecords:
-        """The laws of the sleeves."""
-        return self._context.sleeves.laws()
+    def sleeve_laws(self) -> ByName:
+        """The laws of the sleeves, each by its name."""
+        return ByName(lambda name: self._context.sleeves.law(Sleeve[name.upper()]))
 
 
-def collect(learned: Learned, written: str) -> Calibration:
-    """All of it, at a time that the caller says in `written`."""
+class ByName:
+    """Attributes that are worked out where they are asked for, and once."""
+
+    def __init__(self, work_out: Callable[[str], Any]) -> None:
+        self._work_out = work_out
+
+    def __getattr__(self, name: str) -> Any:
+        value = self._work_out(name)
+        setattr(self, name, value)
+        return value
+
+
+def collect(learned: Learned, sleeves: Sleeves, written: str) -> Calibration:
+    """All of it, with that of the sleeves, at a time that the caller says in `written`."""
     return Calibration(
         format_=CALIBRATION_FORMAT,
         provenance=replace(learned.provenance, written=written),
@@ -128,18 +146,8 @@ def collect(learned: Learned, written: str) -> Calibration:
         brake=learned.brake,
         noise=learned.noise,
         swings=learned.swings,
-        sleeves=learned.sleeves,
-        sleeve_laws=learned.sleeve_laws,
-        end=End(complete=True),
-    )
-
-
-def _nothing(header: RunHeader) -> Calibration:
-    """What is known at a cold start."""
-    sheet = header.sheet
-    return Calibration(
-        format_=CALIBRATION_FORMAT,
-        provenance=Provenance(header.version, sheet.name, sheet.sha256, "", 0),
+        sleeves=sleeves.records(),
+        sleeve_laws=sleeves.laws(),
         end=End(complete=True),
     )
 

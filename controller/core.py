@@ -173,7 +173,7 @@ class ControllerCore:
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; written: date and time as text for the
         file."""
-        return collect(self._learned, written)
+        return collect(self._learned, self._sequence.sleeves, written)
 
     @property
     def _learned(self) -> Learned:

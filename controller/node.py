@@ -65,7 +65,7 @@ async def run_controller(
         node = classic_controller(node, header.sheet)
         if records is not None:
             node = recorded_steps(node, records, header.run_hash, diagnosed=diagnosis)
-    only = OnlyController(node, stop.set)
+    only = OnlyController(node, stop.set, is_proven=keys is not None)
     settle()
     await run_node(
         only,

@@ -51,11 +51,11 @@ class Controller:
 class Node_:
     """One node of the bus, stepped every 10 ms from when it is switched on."""
 
-    def __init__(self, on_us: int, clock_us: int = 0) -> None:
+    def __init__(self, on_us: int, clock_us: int = 0, *, is_proven: bool = False) -> None:
         self.on_us = on_us
         self.ended = False
         self.inside = Controller(clock_us)
-        self.only = OnlyController(self.inside, self._end)
+        self.only = OnlyController(self.inside, self._end, is_proven=is_proven)
         self.sent: list[Frame] = []
         self.said: list[str] = []
 
@@ -117,6 +117,19 @@ def test_one_at_work_falls_silent_beside_a_controller_of_the_classic_profile() -
     orders = sender.message_type()
     run([one], 1_500_000, lambda now_us: [sender.frame(orders)] if now_us > 1_000_000 else [])
     assert one.only.conflict == BESIDE
+
+
+def test_one_whose_commands_are_proven_is_not_silenced_by_frames_that_prove_nothing() -> None:
+    old, new = Node_(0, is_proven=True), Node_(1_000_000, is_proven=True)
+    forger = Transmitter(Node.TRANSMISSION_CONTROL)
+
+    def forged(now_us: int) -> list[Frame]:
+        late = now_us > 500_000
+        return [forger.encode(ControllerStatus(step_time_us=9))] if late else []
+
+    run([old, new], 2_000_000, forged)
+    assert old.only.conflict == ""
+    assert new.only.conflict == NEWCOMER
 
 
 def test_a_frame_now_and_then_is_an_accident() -> None:
