@@ -12,7 +12,13 @@ from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import Core
 from meshpoint.bus.driver import OpenBus, run_node
-from meshpoint.bus.optional import classic_controller, diagnosed, proven, recorded_steps
+from meshpoint.bus.optional import (
+    classic_controller,
+    classic_signs,
+    diagnosed,
+    proven,
+    recorded_steps,
+)
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
@@ -20,7 +26,7 @@ from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.only_one import OnlyController, OtherControllerError
+from meshpoint.controller.only_one import SIGNS, OnlyController, OtherControllerError
 from meshpoint.controller.outage_record import OutageRecord
 from meshpoint.controller.warm_up import warm_up
 from meshpoint.dbc.messages import Estimator
@@ -65,7 +71,8 @@ async def run_controller(
         node = classic_controller(node, header.sheet)
         if records is not None:
             node = recorded_steps(node, records, header.run_hash, diagnosed=diagnosis)
-    only = OnlyController(node, stop.set, is_proven=keys is not None)
+    signs = classic_signs() if wire is WireProfile.CLASSIC else SIGNS
+    only = OnlyController(node, stop.set, signs, is_proven=keys is not None)
     settle()
     await run_node(
         only,

@@ -2,16 +2,16 @@
 beside it switches its valves off and falls silent.
 
 Both would send the same identifiers with counters of their own, so that the valve side could trust
-neither. Whose frames are whose is told by what was sent from here: an interface may return them.
+neither. Whose frames are whose is known by what was sent from here: an interface may return them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final
 
 from meshpoint.bus.core import AroundCore, Core, Step
-from meshpoint.dbc.classic.codecs import ClassicEar, Heard
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
@@ -21,13 +21,17 @@ LISTEN_US: Final = 250_000
 LOOK_US: Final = 10_000
 WITHIN_US: Final = 100_000
 MOST_FRAMES: Final = 3
-"""So many frames of another one within `WITHIN_US` are a controller: one alone is an accident."""
+"""This many frames of another one within `WITHIN_US` are a controller: one alone is an accident."""
 REMEMBERED: Final = 2_048
 """Own frames, of the last 10 s: longer than any interface keeps them."""
-SIGNS: Final = {
-    CODECS[name].spec.can_id: CODECS[name] for name in ("ControllerStatus", "ValveCommand")
+Signs = Mapping[int, Callable[[Frame], object]]
+"""Frames that a controller sends all the time, and nobody else: by identifier, what makes a message
+of one, or None where it is damaged."""
+SIGNS: Final[Signs] = {
+    CODECS[name].spec.can_id: partial(read_alone, CODECS[name])
+    for name in ("ControllerStatus", "ValveCommand")
 }
-"""What a controller sends each step, and nobody else. A classic one sends valve orders."""
+"""Those of CAN FD, one of each a step."""
 NEWCOMER: Final = (
     "another controller is at work on this bus: this one leaves without having sent anything. "
     "End the other one first, or watch beside it with --shadow"
@@ -45,13 +49,20 @@ class OtherControllerError(Exception):
 class OnlyController(AroundCore[Core]):
     """A controller that shares its bus with no other one."""
 
-    def __init__(self, core: Core, leave: Callable[[], None], *, is_proven: bool = False) -> None:
-        """leave: called once, when this controller is to end. is_proven: its commands are
-        (`--keys`). The gearbox takes no others then, and whoever forges frames without the keys is
-        not to silence it: at work it goes on."""
+    def __init__(
+        self,
+        core: Core,
+        leave: Callable[[], None],
+        signs: Signs = SIGNS,
+        *,
+        is_proven: bool = False,
+    ) -> None:
+        """leave: called once, when this controller is to end. signs: those of this bus. is_proven:
+        its commands are (`--keys`). The gearbox takes no others then, and whoever forges frames
+        without the keys is not to silence it: at work it goes on."""
         super().__init__(core)
         self._leave, self._is_proven = leave, is_proven
-        self._orders = ClassicEar("ValveOrders")
+        self._signs = signs
         self._sent: dict[tuple[int, bytes], None] = {}
         self._listens_until_us: int | None = None
         self._look_us = 0
@@ -70,14 +81,10 @@ class OnlyController(AroundCore[Core]):
 
     def receive_own(self, frame: Frame) -> None:
         """A frame under this controller's own address: one that it has sent, or another's."""
-        if self._is_sign(frame) and (frame.can_id, frame.data) not in self._sent:
-            self._foreign += 1
-
-    def _is_sign(self, frame: Frame) -> bool:
-        codec = SIGNS.get(frame.can_id)
-        if codec is not None:
-            return read_alone(codec, frame) is not None
-        return frame.can_id == self._orders.can_id and self._orders.hear(frame).heard is Heard.OK
+        message_of = self._signs.get(frame.can_id)
+        if message_of is None or (frame.can_id, frame.data) in self._sent:
+            return
+        self._foreign += message_of(frame) is not None
 
     @property
     def next_step_us(self) -> int:
@@ -122,7 +129,7 @@ class OnlyController(AroundCore[Core]):
 
     def _remember(self, frames: list[Frame]) -> None:
         for frame in frames:
-            if frame.can_id in SIGNS or frame.can_id == self._orders.can_id:
+            if frame.can_id in self._signs:
                 self._sent.pop((frame.can_id, frame.data), None)
                 self._sent[frame.can_id, frame.data] = None
         while len(self._sent) > REMEMBERED:

@@ -197,7 +197,8 @@ class Case(NamedTuple):
         lasts_us = end_us - self._since_us(valve, span)
         is_ended = span.end_us == end_us
         comes_back = lasts_us <= self._short_us(way_m) and not (
-            is_ended and -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
+            is_ended
+            and -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
             and lasts_us > self._push_us(valve, way_m)
         )
         return comes_back or end_us - span.start_us <= brakes_us

@@ -9,7 +9,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_REST, TO_TIME
+from meshpoint.controller.sleeve.cylinder import (
+    FOREVER,
+    GAIN,
+    LEFT,
+    OFFSET,
+    PARAMETERS,
+    TO_REST,
+    TO_TIME,
+)
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.fit import fit
 from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw

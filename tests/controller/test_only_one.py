@@ -112,8 +112,9 @@ def test_two_that_begin_together_both_switch_their_valves_off_and_fall_silent() 
         assert node.only.step(3_000_000) == node.only.shutdown(3_000_000) == Step([], [])
 
 
-def test_one_at_work_falls_silent_beside_a_controller_of_the_classic_profile() -> None:
+def test_on_a_classic_bus_it_is_known_by_its_valve_orders() -> None:
     one, sender = Node_(0), ClassicSender("ValveOrders")
+    one.only = OnlyController(one.inside, one._end, classic_signs())
     orders = sender.message_type()
     run([one], 1_500_000, lambda now_us: [sender.frame(orders)] if now_us > 1_000_000 else [])
     assert one.only.conflict == BESIDE

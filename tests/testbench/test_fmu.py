@@ -208,7 +208,7 @@ def test_a_parameter_that_cannot_be_used_ends_the_initialization(
     with pytest.raises(FMICallException):
         unit.begin()
     unit.free()
-    gc.collect()  # what the wrapper has let go of twice is whole
+    gc.collect()  # what the wrapper has released twice is whole
     assert f"{next(iter(parameters))}: " in capfd.readouterr().out
     Unit(fmu, profile="clean").begin().end()
 
@@ -244,17 +244,17 @@ def test_steps_may_differ_in_size_and_the_unit_says_so(fmu: Path, unit: Unit) ->
     assert unit.get("time") == pytest.approx(time_s)
 
 
-LETS_GO = """
+ENDS = """
 import sys
 from pathlib import Path
 from fmpy import extract, read_model_description
 from fmpy.fmi3 import FMU3Slave
 
-def told(event, given):
+def heard(event, given):
     if event == "ctypes.dlsym" and given[1] == "finalizePythonInterpreter":
-        print("lets go of", Path(given[0]._name).name, flush=True)
+        print("releases", Path(given[0]._name).name, flush=True)
 
-sys.addaudithook(told)
+sys.addaudithook(heard)
 path = sys.argv[1]
 about, folder = read_model_description(path), extract(path)
 for name in ("one", "two"):
@@ -269,13 +269,13 @@ print("at the end:", flush=True)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the wrapper of Windows has no such end")
-def test_the_wrapper_lets_go_of_its_state_before_the_process_ends(fmu: Path) -> None:
+def test_the_wrapper_releases_its_state_before_the_process_ends(fmu: Path) -> None:
     """After it, it would count down in memory that is free: `fmpy simulate` aborted."""
     done = subprocess.run(
-        [sys.executable, "-c", LETS_GO, str(fmu)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", ENDS, str(fmu)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["at the end:", "lets go of GearboxRig.so"]
+    assert done.stdout.splitlines() == ["at the end:", "releases GearboxRig.so"]
 
 
 @pytest.mark.long

@@ -83,7 +83,7 @@ def run_all(
     `take` gets every result exactly once, in any order. A run whose workers die, one after the
     other, fails alone. WorkersLostError where there is nobody left to make runs. Once there is a
     run that `may_begin` no more, none is begun; all that are begun come to their end, so that those
-    made are the first ones. `in_flight`: so many are handed over at a time."""
+    made are the first ones. `in_flight`: this many are handed over at a time."""
     if where is None:
         return _one_by_one(spec, jobs, take, may_begin)
     work = _Work(spec, jobs, where, take, may_begin, in_flight)
