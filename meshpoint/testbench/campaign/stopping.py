@@ -37,8 +37,7 @@ class Stopping(Protocol):
         """Whether these are enough; `shifts` are those of the first this many runs."""
 
     def may_begin(self, done: int, at_once: int, /) -> bool:
-        """Whether there is time for one more run, where this many are done and this many are in work
-        at a time."""
+        """Whether there is time for one more run, after `done`, with `at_once` at a time."""
 
     def to_json(self) -> dict[str, Any]:
         """What came of it, by name."""

@@ -4,7 +4,7 @@ It is C++, and two of its ways end in memory that is free already:
 
 - Its interpreter state is a static of the library. At the end of the process that static is
   destroyed, and the library's own destructor, which comes later, releases it once more: it counts
-  down in a block that the allocator has taken back. Where numba has filled the heap, that block is
+  down in a block that is free already. Where numba has filled the heap, that block is
   in a list of free ones, and the process aborts ("corrupted double-linked list"). Unloading the
   library does not help, as it cannot be unloaded: it defines unique symbols (STB_GNU_UNIQUE).
 - It releases instance, class and log of a script that has raised an error, and again when the
