@@ -21,7 +21,7 @@ from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.report import write_report
 from meshpoint.testbench.campaign.result import Collected, to_json
 from meshpoint.testbench.campaign.run import RunResult, run_one
-from meshpoint.testbench.campaign.runner import IN_FLIGHT, WorkersLostError, run_all, workplace
+from meshpoint.testbench.campaign.runner import WorkersLostError, run_all, workplace
 from meshpoint.testbench.campaign.sequential import FIGURES, GAP, GOAL_FORM, Goal, parse_goal
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.stopping import Against, AllRuns, Stopping, Until
@@ -375,7 +375,7 @@ def _make(
 
         made, before = collected.jobs[:0], len(collected.done)
         at_once = 1 if namespace.dask is not None else namespace.jobs
-        in_flight = IN_FLIGHT if namespace.budget is None else namespace.jobs
+        in_flight = None if namespace.budget is None else namespace.jobs
 
         def may_begin() -> bool:
             return stopping.may_begin(len(collected.done) - before, at_once)

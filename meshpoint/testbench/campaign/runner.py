@@ -76,17 +76,17 @@ def run_all(
     where: Executor | None,
     take: Callable[[list[RunResult]], None],
     may_begin: Callable[[], bool] = lambda: True,
-    in_flight: int = IN_FLIGHT,
+    in_flight: int | None = None,
 ) -> bool:
     """Makes all runs, handing over results as they come; False where it was interrupted.
 
     `take` gets every result exactly once, in any order. A run whose workers die, one after the
     other, fails alone. WorkersLostError where there is nobody left to make runs. Once there is a
     run that `may_begin` no more, none is begun; all that are begun come to their end, so that those
-    made are the first ones. `in_flight`: this many are handed over at a time."""
+    made are the first ones. `in_flight`: most handed over at a time (None: `IN_FLIGHT`)."""
     if where is None:
         return _one_by_one(spec, jobs, take, may_begin)
-    work = _Work(spec, jobs, where, take, may_begin, in_flight)
+    work = _Work(spec, jobs, where, take, may_begin, in_flight or IN_FLIGHT)
     try:
         work.run()
     except KeyboardInterrupt:
