@@ -125,7 +125,7 @@ class OnlyController(AroundCore[Core]):
         last = self._core.shutdown(now_us) if self._is_at_work else Step([], [])
         self.conflict = why
         self._leave()
-        return Step(last.frames, [*last.events, why])
+        return last
 
     def _remember(self, frames: list[Frame]) -> None:
         for frame in frames:
