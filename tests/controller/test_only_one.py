@@ -58,7 +58,6 @@ class Node_:
         self.inside = Controller(clock_us)
         self.only = OnlyController(self.inside, self._end, is_proven=is_proven)
         self.sent: list[Frame] = []
-        self.said: list[str] = []
 
     def _end(self) -> None:
         self.ended = True
@@ -66,9 +65,8 @@ class Node_:
     def step(self, now_us: int) -> list[Frame]:
         if now_us < self.on_us or now_us < self.only.next_step_us:
             return []
-        frames, events = self.only.step(now_us)
+        frames = self.only.step(now_us).frames
         self.sent += frames
-        self.said += events
         return frames
 
 
