@@ -213,7 +213,7 @@ def test_a_log_is_not_written_over_by_its_own_series(
     target.hardlink_to(log)
     before = log.read_bytes()
     assert main(["convert", str(log), "-o", str(target)]) == 2
-    assert "x.mcap: is the log itself" in capsys.readouterr().err
+    assert "LOG and --output name one file" in capsys.readouterr().err
     assert log.read_bytes() == before
 
 
@@ -238,7 +238,6 @@ def test_a_log_of_another_bus_leaves_no_file(
         (["-o", "x.mcap"], "-o without LOG"),
         (["missing.log", "-o", "x.mcap"], "missing.log"),
         (["{log}", "--live"], "--live with LOG"),
-        (["--live", "70000"], "--live 70000: allowed are 1 to 65535"),
     ],
 )
 def test_bad_input_is_named_and_leaves_no_file(

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.reader import LogError
@@ -29,7 +30,7 @@ FILES: Final = {".mcap": mcap_file, ".mf4": mf4_file, ".parquet": parquet_file}
 """What is written, by the file's ending."""
 LIVE_PORT: Final = 8765
 """The one that viewers propose."""
-PORTS: Final = range(1, 65536)
+MOST_PORT: Final = 65535
 WAIT_S: Final = 0.05
 BACK_S: Final = 1.0
 
@@ -52,7 +53,7 @@ def add_parser(commands: Any) -> None:
     where.add_argument("-o", "--output", type=Path, metavar="FILE", help="the file to write")
     where.add_argument(
         "--live",
-        type=int,
+        type=given_numbers.whole(1, MOST_PORT),
         nargs="?",
         const=LIVE_PORT,
         metavar="PORT",
@@ -156,8 +157,6 @@ class Writing:
 def _serve(namespace: argparse.Namespace) -> int:
     if namespace.log:
         raise CommandError("--live with LOG: it serves a bus; of a log -o writes a file")
-    if namespace.live not in PORTS:
-        raise CommandError(f"--live {namespace.live}: allowed are {PORTS[0]} to {PORTS[-1]}")
     unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
     with open_bus_from(namespace) as bus, live_view(namespace.live) as sink:
         tell(f"{bus.channel_info}: ws://{LOCALHOST}:{namespace.live} until Ctrl-C")

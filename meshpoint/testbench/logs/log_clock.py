@@ -9,7 +9,6 @@ reads are put between these two by their share of the logged time.
 
 from __future__ import annotations
 
-import contextlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -301,13 +300,19 @@ def clock_of(
     stop: Callable[[], bool] = lambda: False,
 ) -> LogClock:
     """The clock of these files, read as far as they can be, or until `stop` says so. unpack: makes
-    one that makes frames of meshpoint.dbc of those on a bus of another profile."""
+    one that makes frames of meshpoint.dbc of those on a bus of another profile. LogError where
+    nothing of them can be read."""
     fit = LogClockFit(None if unpack is None else unpack())
-    with contextlib.suppress(LogError):  # it is said when the frames are read
-        for number, (time_s, frame) in enumerate(read_logs(files, bus)):
+    frames = 0
+    try:
+        for time_s, frame in read_logs(files, bus):
             fit.take(time_s, frame)
-            if number % STOP_FRAMES == 0 and stop():
+            if frames % STOP_FRAMES == 0 and stop():
                 break
+            frames += 1
+    except LogError:
+        if frames == 0:
+            raise  # of a later defect it is said when the frames are read
     return fit.finish()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -84,7 +85,9 @@ def parse_limit(text: str) -> Limit:
     try:
         value = float(found[3])
     except ValueError:
-        raise ValueError(f"{text!r}: {found[3]!r} is no number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r}: {found[3]!r} is no number")
     return Limit(found[1], found[2], value / 100.0 if found[4] else value)
 
 
