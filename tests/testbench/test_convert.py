@@ -37,6 +37,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.convert.sample_clock import LiveTies
 from meshpoint.testbench.convert.series import TOPICS, TimeSeries
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "viewers"
@@ -139,7 +140,7 @@ def test_the_last_instant_is_compared_too(log: Path, rows: Rows) -> None:
 
 def test_edges_from_before_a_standstill_are_not_placed() -> None:
     """An interval beyond 65 ms has no room in 16 bits: only the newest edge is known then."""
-    node, series = Transmitter(Node.GEARBOX_IO), TimeSeries()
+    node, series = Transmitter(Node.GEARBOX_IO), TimeSeries(LiveTies())
     found = []
     for k, is_long in enumerate((False, True)):
         lows = tuple((10_000 * k + 9_000 - 1_000 * j) & 0xFFFF for j in range(27))

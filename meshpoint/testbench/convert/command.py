@@ -17,6 +17,7 @@ from meshpoint.testbench.command_line.log_progress import read_in_sensor_time
 from meshpoint.testbench.convert.foxglove_sink import LOCALHOST, live_view, mcap_file
 from meshpoint.testbench.convert.mf4_sink import mf4_file
 from meshpoint.testbench.convert.parquet_sink import parquet_file
+from meshpoint.testbench.convert.sample_clock import LiveTies, Ties, ties_of
 from meshpoint.testbench.convert.series import Sample, TimeSeries
 from meshpoint.testbench.convert.sink import Event, InOrder, Sink
 from meshpoint.testbench.errors import CommandError
@@ -76,12 +77,13 @@ def run(namespace: argparse.Namespace) -> int:
     files, sheet = log_files(namespace.log), arguments.sheet_of(namespace)
     if path.exists() and any(path.samefile(file) for file in files):
         raise CommandError(f"-o {path}: is the log itself")
-    unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
+    said, entries = read_in_sensor_time(namespace, files, sheet)
     try:
         with beside(path) as new:
             with FILES[path.suffix](new) as sink, console("-").status("converting"):
-                writing = Writing(sink, unpack)
-                defect = writing.take_all(entries)
+                ties = ties_of(entries(), arguments.unpack_all_of(namespace, sheet))
+                writing = Writing(sink, arguments.unpack_all_of(namespace, sheet), ties)
+                defect = writing.take_all(entries())
             if not writing.samples:
                 raise CommandError(
                     f"{files[0]}: of {writing.frames:,} frames none is a message of "
@@ -93,6 +95,7 @@ def run(namespace: argparse.Namespace) -> int:
         complain(f"meshpoint convert: {said}")
     if writing.went_back:
         complain("meshpoint convert: the log's time goes back: its parts lie over each other")
+    writing.complain()
     tell(f"{path}: {writing.samples:,} samples, {writing.events:,} events")
     if defect is not None:
         complain(f"meshpoint convert: {defect}; what is written is all that stands before it")
@@ -102,11 +105,11 @@ def run(namespace: argparse.Namespace) -> int:
 
 class Writing:
     """Frames to samples and events, and these to where they go. What was sampled before the first
-    frame came is left out."""
+    frame came is left out, and counted."""
 
-    def __init__(self, sink: Sink, unpack: Unpack) -> None:
+    def __init__(self, sink: Sink, unpack: Unpack, ties: Ties) -> None:
         self._sink, self._unpack = sink, unpack
-        self._series, self._story, self._order = TimeSeries(), Story(), InOrder()
+        self._series, self._story, self._order = TimeSeries(ties), Story(), InOrder()
         self._begun_s: float | None = None
         self._newest_s = 0.0
         self.frames = self.samples = self.events = 0
@@ -139,9 +142,16 @@ class Writing:
             for sample in self._series.take(time_s, inner):
                 if sample.time_s >= self._begun_s:  # MCAP has no time before a log's zero
                     self._order.add(sample)
+                else:
+                    self._series.left_out.early += 1
             for line in self._story.receive(time_s, inner):
                 self._order.add(Event(self._begun_s + line.at_s, line.who, line.words))
         self._give(self._order.until(time_s))
+
+    def complain(self) -> None:
+        """Says what is not in the file, or not in its place."""
+        for line in self._series.left_out.words():
+            complain(f"meshpoint convert: {line}")
 
     def _give(self, found: Iterable[Sample | Event]) -> None:
         for one in found:
@@ -161,7 +171,7 @@ def _serve(namespace: argparse.Namespace) -> int:
     unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
     with open_bus_from(namespace) as bus, live_view(namespace.live) as sink:
         tell(f"{bus.channel_info}: ws://{LOCALHOST}:{namespace.live} until Ctrl-C")
-        writing, begun_s = Writing(sink, unpack), time.time() - time.monotonic()
+        writing, begun_s = Writing(sink, unpack, LiveTies()), time.time() - time.monotonic()
         try:
             while True:
                 message = bus.recv(WAIT_S)
