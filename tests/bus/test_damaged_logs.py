@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import gc
+import logging
+import random
 import struct
+import sys
 from pathlib import Path
 
+import can
 import pytest
 from log_mutations import mixed_log, silent_partial_reads
 
+from meshpoint.bus.light_can import mf4_module
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import LogWriter
@@ -192,3 +198,43 @@ def test_a_damaged_candump_line_is_no_error_and_no_remote_frame(line: str, tmp_p
     path.write_text(f"{line}\n(2.0) can0 123#11\n")
     with pytest.raises(LogError, match="line 1"):
         list(read_log(path))
+
+
+def test_of_a_damaged_mf4_its_defect_alone_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its reader would write tracebacks of its own, at once and as its remains are taken down."""
+    path, draw = tmp_path / "damaged.mf4", random.Random(1)
+    with mf4_module().MF4Writer(path) as writer:
+        for number in range(300):
+            message = can.Message(timestamp=1e-3 * number, arbitration_id=1, data=bytes(8))
+            writer.on_message_received(message)
+    whole, said = path.read_bytes(), list[str]()
+    monkeypatch.setattr(sys, "unraisablehook", lambda left: said.append(repr(left)))
+    monkeypatch.setattr(logging.getLogger("asammdf"), "handlers", [Said(said)])
+    defects = 0
+    for _ in range(30):
+        damaged = bytearray(whole)
+        for _ in range(draw.randrange(1, 20)):
+            damaged[draw.randrange(len(damaged))] = draw.randrange(256)
+        path.write_bytes(damaged)
+        try:
+            list(read_log(path))
+        except LogError as error:
+            defects += 1
+            assert "damaged.mf4" in str(error)
+            assert "\n" not in str(error)
+        gc.collect()
+    assert defects > 15
+    assert said == []
+
+
+class Said(logging.Handler):
+    """Keeps what a library says."""
+
+    def __init__(self, said: list[str]) -> None:
+        super().__init__()
+        self._said = said
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._said.append(record.getMessage())

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from typing import BinaryIO
+import contextlib
+import gc
+import logging
+import sys
+from collections.abc import Iterator
+from typing import Any, BinaryIO
 
 from meshpoint.bus.light_can import mf4_module
 from meshpoint.bus.logs.buses import Buses
@@ -13,19 +18,24 @@ from meshpoint.dbc.frame import Frame
 def mf4_entries(file: BinaryIO, buses: Buses) -> Entries:
     """Every frame, time in seconds since the epoch; raises DefectError. asammdf reads the whole
     index at once, so a file that is cut off gives nothing."""
-    try:
-        reader = mf4_module().MF4Reader(file)
-    except (ImportError, NotImplementedError) as error:  # python-can's without asammdf
-        raise DefectError("", "MF4 needs asammdf: pip install meshpoint[mf4]") from error
-    except Exception as error:  # asammdf leaks errors of many kinds on damaged files
-        raise DefectError("", f"cannot be read as MF4: {error!r}") from error
+    reader, why = None, ""
+    with _quiet():
+        try:
+            reader = mf4_module().MF4Reader(file)
+        except (ImportError, NotImplementedError) as error:  # python-can's without asammdf
+            raise DefectError("", "MF4 needs asammdf: pip install meshpoint[mf4]") from error
+        except Exception as error:  # noqa: BLE001  # asammdf leaks errors of many kinds
+            why = f"cannot be read as MF4: {error!r}"
+        if why:
+            gc.collect()  # a reader that was half made is in a ring of references
+    if reader is None:
+        raise DefectError("", why)
     messages = iter(reader)
     count = 0
     while True:
-        try:
-            message = next(messages, None)
-        except Exception as error:
-            raise DefectError(f"frame {count + 1}", f"cannot be read: {error!r}") from error
+        message, why = _next_of(messages)
+        if why:
+            raise DefectError(f"frame {count + 1}", why)
         if message is None:
             return
         count += 1
@@ -41,3 +51,26 @@ def mf4_entries(file: BinaryIO, buses: Buses) -> Entries:
                 bool(message.is_extended_id),
             )
             yield message.timestamp, checked(frame, f"frame {count}")
+
+
+def _next_of(messages: Iterator[Any]) -> tuple[Any, str]:
+    """The next message, None at the end; or why it cannot be read."""
+    with _quiet():
+        try:
+            return next(messages, None), ""
+        except Exception as error:  # noqa: BLE001
+            return None, f"cannot be read: {error!r}"
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """asammdf writes tracebacks to standard error for what it stumbles over, and leaves objects
+    that cannot be taken down: what came of it is said in one line by who reads the log. Its errors
+    are not chained to ours, which would keep such objects beyond this."""
+    logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
+    was_disabled, logger.disabled = logger.disabled, True
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        logger.disabled, sys.unraisablehook = was_disabled, hook

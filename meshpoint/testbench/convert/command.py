@@ -14,12 +14,14 @@ from meshpoint.bus.logs.reader import LogError
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.log_progress import read_in_sensor_time
-from meshpoint.testbench.convert.foxglove_sink import LOCALHOST, live_view, mcap_file
+from meshpoint.testbench.convert.foxglove_sink import mcap_file
+from meshpoint.testbench.convert.live_view import live_view
 from meshpoint.testbench.convert.mf4_sink import mf4_file
 from meshpoint.testbench.convert.parquet_sink import parquet_file
 from meshpoint.testbench.convert.sample_clock import LiveTies, Ties, ties_of
 from meshpoint.testbench.convert.series import Sample, TimeSeries
 from meshpoint.testbench.convert.sink import Event, InOrder, Sink
+from meshpoint.testbench.convert.viewer_server import LOCALHOST
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_clock import Entry, Unpack
@@ -59,6 +61,14 @@ def add_parser(commands: Any) -> None:
         metavar="PORT",
         help=f"serve a bus as a Foxglove WebSocket on localhost until Ctrl-C (port: {LIVE_PORT})",
     )
+    parser.add_argument(
+        "--origin",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="with --live: web pages from there may read the bus as well, as "
+        "https://app.foxglove.dev (default: pages of this machine alone)",
+    )
     arguments.add_gearbox(parser)
     arguments.add_wire(parser)
     add_bus_arguments(parser)
@@ -69,6 +79,8 @@ def run(namespace: argparse.Namespace) -> int:
     """Writes the file, up to a defect in the log; or serves until Ctrl-C."""
     if namespace.live is not None:
         return _serve(namespace)
+    if namespace.origin:
+        raise CommandError("--origin without --live: only a bus is served to web pages")
     if not namespace.log:
         raise CommandError("-o without LOG: there is nothing to convert")
     path: Path = namespace.output
@@ -169,7 +181,7 @@ def _serve(namespace: argparse.Namespace) -> int:
     if namespace.live not in PORTS:
         raise CommandError(f"--live {namespace.live}: allowed are {PORTS[0]} to {PORTS[-1]}")
     unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
-    with open_bus_from(namespace) as bus, live_view(namespace.live) as sink:
+    with live_view(namespace.live, namespace.origin) as sink, open_bus_from(namespace) as bus:
         tell(f"{bus.channel_info}: ws://{LOCALHOST}:{namespace.live} until Ctrl-C")
         writing, begun_s = Writing(sink, unpack, LiveTies()), time.time() - time.monotonic()
         try:
@@ -179,4 +191,5 @@ def _serve(namespace: argparse.Namespace) -> int:
                     continue
                 writing.take(begun_s + time.monotonic(), frame_of(message))
         except KeyboardInterrupt:
+            writing.complain()
             return Exit.DONE  # the way to end it

@@ -44,6 +44,8 @@ class Chained(NamedTuple):
     """A stamp of the sensors' clock, as a time that does not wrap."""
 
     us: int
+    way_s: float
+    """How much later its frame came, by clocks that are not tied yet."""
     begins: bool
     """It is the first one, or the sensors' clock or the log's was set since the one before."""
 
@@ -64,24 +66,28 @@ class SensorStamps:
         if not check_crc(frame.data, spec.protected_id):
             return None
         stamp = int.from_bytes(frame.data[READ_TIME], "little")
+        us, begins = self._unwrapped(time_s, stamp)
+        return Chained(us, time_s - us * US, begins)
+
+    def _unwrapped(self, time_s: float, stamp: int) -> tuple[int, bool]:
         newest_us = self.newest_us
         if newest_us is not None:
             us = unwrap(stamp, newest_us)
             step_s = (us - newest_us) * US
             if -ORDER_S <= step_s <= 0.0:
-                return Chained(us, begins=False)
+                return us, False
             if step_s > 0.0 and not is_break(step_s, time_s - self._came_s):
                 self.newest_us, self._came_s = us, time_s
-                return Chained(us, begins=False)
+                return us, False
         self.newest_us, self._came_s = stamp, time_s
-        return Chained(stamp, begins=True)
+        return stamp, True
 
 
 class Ties(Protocol):
     """How far the axis is ahead of the sensors' clock."""
 
-    def offset_s(self, time_s: float, stamp: Chained) -> float:
-        """At this stamp of a frame that came at `time_s`; call it for each, in their order."""
+    def offset_s(self, stamp: Chained) -> float:
+        """At this stamp; call it for each, in their order."""
 
 
 class LogTies:
@@ -91,7 +97,7 @@ class LogTies:
         self._offsets_s = offsets_s
         self._number = -1
 
-    def offset_s(self, time_s: float, stamp: Chained) -> float:
+    def offset_s(self, stamp: Chained) -> float:
         """As `Ties` has it."""
         self._number += stamp.begins
         return self._offsets_s[self._number]
@@ -106,10 +112,9 @@ def ties_of(entries: Iterable[Entry], unpack: Unpack) -> LogTies:
                 stamp = stamps.take(time_s, inner)
                 if stamp is None:
                     continue
-                way_s = time_s - stamp.us * US
                 if stamp.begins:
-                    offsets_s.append(way_s)
-                offsets_s[-1] = min(offsets_s[-1], way_s)
+                    offsets_s.append(stamp.way_s)
+                offsets_s[-1] = min(offsets_s[-1], stamp.way_s)
     return LogTies(offsets_s)
 
 
@@ -121,14 +126,13 @@ class LiveTies:
         """Number and way of those stamps than which no later one has a shorter way."""
         self._stamps = 0
 
-    def offset_s(self, time_s: float, stamp: Chained) -> float:
+    def offset_s(self, stamp: Chained) -> float:
         """As `Ties` has it."""
-        way_s = time_s - stamp.us * US
         if stamp.begins:
             self._ways.clear()
-        while self._ways and self._ways[-1][1] >= way_s:
+        while self._ways and self._ways[-1][1] >= stamp.way_s:
             self._ways.pop()
-        self._ways.append((self._stamps, way_s))
+        self._ways.append((self._stamps, stamp.way_s))
         if self._ways[0][0] <= self._stamps - LIVE_STAMPS:
             self._ways.popleft()
         self._stamps += 1
@@ -149,7 +153,7 @@ class SampleClock:
         stamp = self._stamps.take(time_s, frame)
         if stamp is None:
             return None
-        self._offset_s = self._ties.offset_s(time_s, stamp)
+        self._offset_s = self._ties.offset_s(stamp)
         return stamp.us * US + self._offset_s
 
     def of_controller(self, time_s: float, stamp: int) -> float | None:
