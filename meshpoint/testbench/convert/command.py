@@ -22,7 +22,7 @@ from meshpoint.testbench.convert.sample_clock import LiveTies, Ties, ties_of
 from meshpoint.testbench.convert.series import Sample, TimeSeries
 from meshpoint.testbench.convert.sink import Event, InOrder, Sink
 from meshpoint.testbench.convert.viewer_server import LOCALHOST
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_clock import Entry, Unpack
 from meshpoint.testbench.results.output import beside, complain, console, tell
@@ -102,7 +102,7 @@ def run(namespace: argparse.Namespace) -> int:
                     f"{namespace.wire} (--profile): nothing was written"
                 )
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
     if said:
         complain(f"meshpoint convert: {said}")
     if writing.went_back:
