@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import logging
-import random
 import struct
 import sys
 from pathlib import Path
@@ -201,10 +200,10 @@ def test_a_damaged_candump_line_is_no_error_and_no_remote_frame(line: str, tmp_p
 
 
 def test_of_a_damaged_mf4_its_defect_alone_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its reader would write tracebacks of its own, at once and as its remains are taken down."""
-    path, draw = tmp_path / "damaged.mf4", random.Random(1)
+    path = tmp_path / "damaged.mf4"
     with mf4_module().MF4Writer(path) as writer:
         for number in range(300):
             message = can.Message(timestamp=1e-3 * number, arbitration_id=1, data=bytes(8))
@@ -212,12 +211,15 @@ def test_of_a_damaged_mf4_its_defect_alone_is_said(
     whole, said = path.read_bytes(), list[str]()
     monkeypatch.setattr(sys, "unraisablehook", lambda left: said.append(repr(left)))
     monkeypatch.setattr(logging.getLogger("asammdf"), "handlers", [Said(said)])
+    data = whole.index(b"##DZ") + 60  # packed; no other place, as asammdf may crash of those
+    damaged = [whole[:length] for length in range(10, len(whole), len(whole) // 7)]
+    damaged += [b"UnFinMF " + whole[8:]]
+    damaged += [
+        whole[:at] + bytes([whole[at] ^ 8]) + whole[at + 1 :] for at in (30, data, data + 90)
+    ]
     defects = 0
-    for _ in range(30):
-        damaged = bytearray(whole)
-        for _ in range(draw.randrange(1, 20)):
-            damaged[draw.randrange(len(damaged))] = draw.randrange(256)
-        path.write_bytes(damaged)
+    for content in damaged:
+        path.write_bytes(content)
         try:
             list(read_log(path))
         except LogError as error:
@@ -225,8 +227,9 @@ def test_of_a_damaged_mf4_its_defect_alone_is_said(
             assert "damaged.mf4" in str(error)
             assert "\n" not in str(error)
         gc.collect()
-    assert defects > 15
+    assert defects >= 9
     assert said == []
+    assert capsys.readouterr() == ("", "")
 
 
 class Said(logging.Handler):

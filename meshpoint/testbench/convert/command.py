@@ -150,7 +150,10 @@ class Writing:
         self.frames += 1
         self.went_back |= time_s < self._newest_s - BACK_S
         self._newest_s = max(self._newest_s, time_s)
-        for inner in self._unpack(frame):
+        found = tuple(self._unpack(frame))
+        if not found and frame.is_fd:  # the classic profile has none
+            self._series.left_out.unknown(frame.can_id)
+        for inner in found:
             for sample in self._series.take(time_s, inner):
                 if sample.time_s >= self._begun_s:  # MCAP has no time before a log's zero
                     self._order.add(sample)
