@@ -49,6 +49,9 @@ going: its chamber still pushes."""
 LONGER_US: Final = 4_000
 """By so much longer than before a gear may be pulled each time: less than lies between a pulse that
 brings a sleeve to neutral and one that throws it through."""
+LEAST_PUSH_US: Final = 7_000
+"""A push towards neutral may last as long as this wherever the sleeve stands: a valve does not open
+for less."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 
@@ -131,6 +134,9 @@ class GuardState:
     """Where a main sleeve stood as its driven valve set it going, positive toward its gear."""
     withstood_us: dict[int, int] = field(default_factory=dict)
     """The longest pull by each main valve that did not take its sleeve beyond neutral."""
+    pushes: dict[int, Drive] = field(default_factory=dict)
+    """The last push towards neutral by each main valve, of a sleeve before the other gear's teeth,
+    that did not take it beyond neutral."""
     before_teeth_us: dict[int, int] = field(default_factory=dict)
     """Since when a main sleeve stands between neutral and a gear's teeth."""
     proofs: int = 0
@@ -188,7 +194,12 @@ class Case(NamedTuple):
         if way_m >= -GUARD_NEUTRAL_M and brakes_us == 0.0:
             return False
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
-        comes_back = end_us - self._since_us(valve, span) <= self._short_us(way_m)
+        lasts_us = end_us - self._since_us(valve, span)
+        is_ended = span.end_us == end_us
+        comes_back = lasts_us <= self._short_us(way_m) and not (
+            is_ended and -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
+            and lasts_us > self._push_us(valve, way_m)
+        )
         return comes_back or end_us - span.start_us <= brakes_us
 
     def _runs_through(self, valve: int, span: Span) -> bool:
@@ -206,6 +217,17 @@ class Case(NamedTuple):
         if way_m < -GUARD_NEUTRAL_M:
             return max(short_us, float(self.limits.switch_again_us))
         return short_us
+
+    def _push_us(self, valve: int, way_m: float) -> float:
+        """For so long a sleeve that stands before the other gear's teeth may be pushed towards
+        neutral, once the push's end is commanded: it stops short also where its valve opens early
+        and shuts late; or it has withstood nearly as much from there, or from nearer neutral."""
+        stops_us = longest_pulse_us(self.limits, way_m) - self.limits.sleeve_scatter_us
+        most_us = max(stops_us, LEAST_PUSH_US)
+        before = self.state.pushes.get(valve)
+        if before is None or way_m > before.stood_m:
+            return most_us
+        return max(most_us, before.driven_us + LONGER_US)
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

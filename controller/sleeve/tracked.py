@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_TIME
+from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_REST, TO_TIME
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.fit import fit
 from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw
@@ -37,7 +37,7 @@ REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 NEUTRAL_M: Final = 1.5e-3
-MOVED_M: Final = 1e-3
+RESTS_US: Final = 400_000
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -70,6 +70,14 @@ class Contact(NamedTuple):
     """By what is known now of this stroke; None where the law does not explain it."""
 
 
+class Push(NamedTuple):
+    """A pulse towards neutral, of a sleeve that stood before a gear's teeth."""
+
+    long_us: int
+    from_m: float
+    """So far from neutral it stood."""
+
+
 class TrackedSleeve(DrivenSleeve):
     """One main sleeve, and what its movements have taught of it."""
 
@@ -78,8 +86,8 @@ class TrackedSleeve(DrivenSleeve):
         self._sheet = prior
         self.movements = 0
         """From how many movements the law was learned."""
-        self.withstood_us: dict[tuple[int, bool], int] = {}
-        """By direction, and whether out of a gear: how long the last pulse towards neutral was."""
+        self.withstood: dict[int, Push] = {}
+        """By direction: the last push towards neutral that did not throw it through."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
@@ -184,7 +192,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""
-        self._see_pulse()
+        self._see_push()
         if self.is_free:
             self._learn()
         self._keep(lambda one: one.time_us > track.newest_us)
@@ -194,19 +202,29 @@ class TrackedSleeve(DrivenSleeve):
             self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
         self._rest(track)
 
-    def _see_pulse(self) -> None:
-        """By how long a pulse it was pushed towards neutral, and not beyond. One that has hardly
-        moved it out of a gear says nothing: torque on the teeth may have held it."""
+    def _see_push(self) -> None:
+        """By how long a pulse it was pushed towards neutral, and not beyond."""
         from_m = float(self.start.state[0])
         direction = -1 if from_m > 0.0 else 1
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
         place_m = self.place_of(self.movement.readings_m[-1])
-        way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
-        in_gear = abs(from_m) > self.law.in_gear_m
         if len(own) < 2 or not own[0].on or direction * place_m > NEUTRAL_M:
             return
-        if way_m > MOVED_M or not in_gear:
-            self.withstood_us[direction, in_gear] = own[1].time_us - own[0].time_us
+        if abs(from_m) < self.law.face_m:
+            self.withstood[direction] = Push(own[1].time_us - own[0].time_us, abs(from_m))
+
+    @property
+    def _was_held(self) -> bool:
+        """Whether it came less far out of a gear than was expected: torque on the teeth may have
+        held it, which is no property of the sleeve."""
+        from_m = float(self.start.state[0])
+        if abs(from_m) < self.law.face_m:
+            return False
+        expected = self.prior_of_movement().mean
+        until_us = self.movement.times_us[-1] + RESTS_US
+        rests_m = self.ahead(ending=TO_REST, until_us=until_us, unknowns=expected).m
+        place_m = self.place_of(self.movement.readings_m[-1])
+        return abs(place_m - from_m) < abs(rests_m - from_m)
 
     def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
@@ -279,7 +297,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _learn(self) -> None:
         """What the movement showed is known from now on, if the law explains it."""
-        if self._is_explained:
+        if self._is_explained and not self._was_held:
             mean, covariance = self.learned.copy(), self.joint[:PARAMETERS, :PARAMETERS]
             faded = (1.0 - FADES) * covariance + FADES * self._sheet.covariance
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
@@ -356,7 +374,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _go_on(self, track: SleeveTrack) -> None:
         """Goes on from what is measured: teeth, or something else, hold or move the sleeve."""
-        self._see_pulse()
+        self._see_push()
         self.is_free = False
         at_us = track.newest_us
         state = self.at(at_us).state.copy()
