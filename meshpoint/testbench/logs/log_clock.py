@@ -133,10 +133,15 @@ class _Reads:
         self._newest_us, self._logged_s = read_us, time_s
         if newest_us is None:
             return Read(0.0, is_break=True)
-        passed_s = time_s - logged_s
-        goes_on = 0.0 < step_s <= GOES_ON_S or abs(step_s - passed_s) <= JUMP_S
-        was_set = passed_s < -BACK_S or passed_s - step_s > SET_FORWARD_S
-        return Read(step_s, not goes_on or was_set)
+        return Read(step_s, is_break(step_s, time_s - logged_s))
+
+
+def is_break(step_s: float, passed_s: float) -> bool:
+    """Whether one of the clocks was set, or the sensors have restarted: theirs has gone on by
+    `step_s` while `passed_s` went by in the log."""
+    goes_on = 0.0 < step_s <= GOES_ON_S or abs(step_s - passed_s) <= JUMP_S
+    was_set = passed_s < -BACK_S or passed_s - step_s > SET_FORWARD_S
+    return not goes_on or was_set
 
 
 class _Points:

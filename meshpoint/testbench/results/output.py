@@ -17,7 +17,7 @@ from rich.text import Text
 
 from meshpoint.controller.strategy_file import is_file_name
 from meshpoint.gearbox.plain_text import plain
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 
 if TYPE_CHECKING:
     from meshpoint.testbench.results.rows import ShiftRow
@@ -53,7 +53,7 @@ def write_json(target: str, values: dict[str, Any]) -> None:
             with beside(path.resolve()) as new, new.open("x", encoding="utf-8") as file:
                 _write(file, pieces)
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 @contextmanager
@@ -147,7 +147,7 @@ def check_writable(target: str | None, made: Path | None = None) -> None:
         if not was_there:
             path.unlink()
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 def check_apart(given: Mapping[str, Any]) -> None:

@@ -71,10 +71,11 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     panel = Panel(sheet, title)
     if namespace.log:
-        unpack, said, entries = read_in_sensor_time(namespace, log_files(namespace.log), sheet)
+        said, entries = read_in_sensor_time(namespace, log_files(namespace.log), sheet)
         if said:
             complain(f"meshpoint watch: {said}")
-        pictures = _of_log(panel, namespace.speed, unpack, entries)
+        unpack = arguments.unpack_all_of(namespace, sheet)
+        pictures = _of_log(panel, namespace.speed, unpack, entries())
     else:
         pictures = _of_bus(panel, namespace, arguments.unpack_all_of(namespace, sheet))
     end_s = None if namespace.for_s is None else time.monotonic() + namespace.for_s
