@@ -49,6 +49,9 @@ going: its chamber still pushes."""
 LONGER_US: Final = 4_000
 """By so much longer than before a gear may be pulled each time: less than lies between a pulse that
 brings a sleeve to neutral and one that throws it through."""
+LEAST_PUSH_US: Final = 7_000
+"""A push towards neutral may last as long as this wherever the sleeve stands: a valve does not open
+for less."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 
@@ -131,6 +134,9 @@ class GuardState:
     """Where a main sleeve stood as its driven valve set it going, positive toward its gear."""
     withstood_us: dict[int, int] = field(default_factory=dict)
     """The longest pull by each main valve that did not take its sleeve beyond neutral."""
+    pushes: dict[int, Drive] = field(default_factory=dict)
+    """The last push towards neutral by each main valve, of a sleeve before the other gear's teeth,
+    that did not take it beyond neutral."""
     before_teeth_us: dict[int, int] = field(default_factory=dict)
     """Since when a main sleeve stands between neutral and a gear's teeth."""
     proofs: int = 0
@@ -188,7 +194,8 @@ class Case(NamedTuple):
         if way_m >= -GUARD_NEUTRAL_M and brakes_us == 0.0:
             return False
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
-        comes_back = end_us - self._since_us(valve, span) <= self._short_us(way_m)
+        lasts_us = end_us - self._since_us(valve, span)
+        comes_back = lasts_us <= self._short_us(way_m) and not self._is_long_push(valve, span)
         return comes_back or end_us - span.start_us <= brakes_us
 
     def _runs_through(self, valve: int, span: Span) -> bool:
@@ -206,6 +213,23 @@ class Case(NamedTuple):
         if way_m < -GUARD_NEUTRAL_M:
             return max(short_us, float(self.limits.switch_again_us))
         return short_us
+
+    def _is_long_push(self, valve: int, span: Span) -> bool:
+        """Whether a sleeve that stands before the other gear's teeth is pushed towards neutral for
+        longer than stops short also where its valve opens early and shuts late, and than it has
+        withstood from there or from nearer neutral. Judged once the push's end is commanded."""
+        way_m, other = self.set_off_m(valve, span), OTHER_OF_MAIN[valve]
+        stands = self.last_drive(other) is None and self.spans[other] is None
+        is_before_teeth = -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
+        is_ended = span.end_us <= self.seen.now_us + self.limits.switch_again_us
+        if not (stands and is_before_teeth and is_ended):
+            return False
+        stops_us = longest_pulse_us(self.limits, way_m) - self.limits.sleeve_scatter_us
+        before = self.state.pushes.get(valve)
+        is_proven = before is not None and way_m <= before.stood_m
+        withstood_us = before.driven_us + LONGER_US if before is not None and is_proven else 0
+        lasts_us = span.end_us - self._since_us(valve, span)
+        return lasts_us > max(stops_us, LEAST_PUSH_US, withstood_us)
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

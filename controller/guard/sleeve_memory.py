@@ -27,9 +27,13 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
             for valve in mine:
                 drive = state.drives.pop(valve, None)
                 way_m = seen.positions_m[sleeve] * limits.main[valve].direction
-                if drive is not None and drive.pulls and way_m <= GUARD_NEUTRAL_M:
+                if drive is None or way_m > GUARD_NEUTRAL_M:
+                    continue
+                if drive.pulls:
                     longest_us = max(drive.driven_us, state.withstood_us.get(valve, 0))
                     state.withstood_us[valve] = longest_us
+                elif drive.stood_m < -GUARD_NEUTRAL_M:
+                    state.pushes[valve] = drive
         if not GUARD_NEUTRAL_M < abs(seen.positions_m[sleeve]) <= limits.contact_m:
             state.before_teeth_us.pop(sleeve, None)
         elif not any(state.spans[valve] for valve in mine):

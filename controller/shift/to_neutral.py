@@ -80,11 +80,12 @@ def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
 
 def ends_in_time(context: ShiftContext, snapshot: StepSnapshot, pulse: Pulse) -> Pulse:
     """The same pulse, a little later where it is too short: its end is sent by the first step
-    after its beginning."""
+    after its beginning, and none is shorter than what that takes."""
     lead_us = snapshot.earliest_us - snapshot.now_us
+    long_us = max(pulse.off_us - pulse.on_us, lead_us)
     sent_us = (snapshot.now_us - pulse.on_us) % context.tick_us
-    later_us = max(0, sent_us + lead_us - (pulse.off_us - pulse.on_us))
-    return pulse._replace(on_us=pulse.on_us + later_us, off_us=pulse.off_us + later_us)
+    on_us = pulse.on_us + max(0, sent_us + lead_us - long_us)
+    return pulse._replace(on_us=on_us, off_us=on_us + long_us)
 
 
 def _brakes(context: ShiftContext, pulse: Pulse) -> bool:

@@ -17,6 +17,8 @@ from meshpoint.controller.sleeve.motion import Start, Way, follow
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
+AT_TEETH_M: Final = 2e-4
+"""What its sensor may be wrong by: no nearer to the teeth than this it touches none."""
 STANDS_US: Final = 40_000
 """So long after its last switch a sleeve that stands still stays where it is."""
 VENTED_PA: Final = 2e3
@@ -37,7 +39,6 @@ REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 NEUTRAL_M: Final = 1.5e-3
-MOVED_M: Final = 1e-3
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -70,6 +71,14 @@ class Contact(NamedTuple):
     """By what is known now of this stroke; None where the law does not explain it."""
 
 
+class Push(NamedTuple):
+    """A pulse towards neutral, of a sleeve that stood before a gear's teeth."""
+
+    long_us: int
+    from_m: float
+    """So far from neutral it stood."""
+
+
 class TrackedSleeve(DrivenSleeve):
     """One main sleeve, and what its movements have taught of it."""
 
@@ -78,8 +87,8 @@ class TrackedSleeve(DrivenSleeve):
         self._sheet = prior
         self.movements = 0
         """From how many movements the law was learned."""
-        self.withstood_us: dict[tuple[int, bool], int] = {}
-        """By direction, and whether out of a gear: how long the last pulse towards neutral was."""
+        self.withstood: dict[int, Push] = {}
+        """By direction: the last push towards neutral that did not throw it through."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
@@ -96,6 +105,9 @@ class TrackedSleeve(DrivenSleeve):
         """No tooth stands in its way, and the law has been right since it left its rest."""
         self.contact: Contact | None = None
         """The newest contact."""
+        self.reached = 0
+        """The side on which these samples show it come to a gear's teeth, or past them; 0: neither.
+        Whatever the law says."""
         self.met_us: dict[int, float] = {}
         """When it last came to the teeth on either side, as measured; whatever the law says."""
 
@@ -111,7 +123,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def take(self, track: SleeveTrack) -> None:
         """The newest samples."""
-        count = len(track.samples_m)
+        count, self.reached = len(track.samples_m), 0
         if self.newest_us is not None and track.newest_us < self.newest_us:
             self._begin_anew(track)
         if self.newest_us is not None:
@@ -119,6 +131,7 @@ class TrackedSleeve(DrivenSleeve):
         if count <= 0:
             return
         self.newest_us = track.newest_us
+        self.reached = self._reaches(track, count)
         moves_us = self._moves_us()
         if moves_us is None or track.newest_us < moves_us:
             self._rest(track)
@@ -135,6 +148,15 @@ class TrackedSleeve(DrivenSleeve):
                 self._see_contact(track, direction)
         if self._is_over(track):
             self._settle(track)
+
+    def _reaches(self, track: SleeveTrack, count: int) -> int:
+        """The side on which it comes to teeth within so many of the newest samples."""
+        level_m = self.law.face_m - AT_TEETH_M
+        places_m = [self.place_of(reading) for reading in track.samples_m[: count + 1]]
+        for direction in (-1, 1):
+            if direction * places_m[0] >= level_m > min(direction * place for place in places_m):
+                return direction
+        return 0
 
     def _begin_anew(self, track: SleeveTrack) -> None:
         """The sensors' clock has gone back: nothing of before holds but what was learned."""
@@ -184,7 +206,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _settle(self, track: SleeveTrack) -> None:
         """The movement is over: what it showed is known from now on."""
-        self._see_pulse()
+        self._see_push()
         if self.is_free:
             self._learn()
         self._keep(lambda one: one.time_us > track.newest_us)
@@ -194,19 +216,16 @@ class TrackedSleeve(DrivenSleeve):
             self._see_stop(track.samples_m[0], 1 if place_m > 0.0 else -1)
         self._rest(track)
 
-    def _see_pulse(self) -> None:
-        """By how long a pulse it was pushed towards neutral, and not beyond. One that has hardly
-        moved it out of a gear says nothing: torque on the teeth may have held it."""
+    def _see_push(self) -> None:
+        """By how long a pulse it was pushed towards neutral, and not beyond."""
         from_m = float(self.start.state[0])
         direction = -1 if from_m > 0.0 else 1
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
         place_m = self.place_of(self.movement.readings_m[-1])
-        way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
-        in_gear = abs(from_m) > self.law.in_gear_m
         if len(own) < 2 or not own[0].on or direction * place_m > NEUTRAL_M:
             return
-        if way_m > MOVED_M or not in_gear:
-            self.withstood_us[direction, in_gear] = own[1].time_us - own[0].time_us
+        if NEUTRAL_M < abs(from_m) < self.law.face_m:
+            self.withstood[direction] = Push(own[1].time_us - own[0].time_us, abs(from_m))
 
     def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
@@ -356,7 +375,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _go_on(self, track: SleeveTrack) -> None:
         """Goes on from what is measured: teeth, or something else, hold or move the sleeve."""
-        self._see_pulse()
+        self._see_push()
         self.is_free = False
         at_us = track.newest_us
         state = self.at(at_us).state.copy()

@@ -30,6 +30,9 @@ GEAR_OF_VALVE: Final[dict[Valve, MainGear]] = {
     Valve.MAIN_THIRD: MainGear.THIRD,
 }
 VALVE_OF_MAIN: Final = {gear: valve for valve, gear in GEAR_OF_VALVE.items()}
+GRINDS_RAD_S: Final = 130.0 * RPM
+"""Dog teeth that meet at more slip than this are damaged: no controller may fire or push a sleeve
+so. The slip that a controller's guard allows, 120 rpm, and the 10 rpm by which it may err."""
 GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
 
 
@@ -39,6 +42,7 @@ class Violation(IntEnum):
     TWO_GEARS = 0  # a second gear at its sleeve while one is in mesh
     BRAKE_IN_GEAR = 1  # air let into the brake in gear, or its valve on when a gear locks
     BOTH_VALVES = 2  # both valves of one sleeve on
+    SLIP_AT_CONTACT = 3  # a sleeve at a gear that turns against it faster than GRINDS_RAD_S
 
 
 class Tally(NamedTuple):
@@ -154,6 +158,15 @@ class Engagement(ABC, Generic[SleeveT]):
     @abstractmethod
     def _unmesh(self, name: Sleeve) -> None:
         """The teeth leave each other."""
+
+    def _meets(
+        self, event: EngagementEvent, gear: MainGear, phase_rad: float, slip_rad_s: float
+    ) -> None:
+        """A sleeve has come to this gear, at a gap or a tooth; whatever has sent it there."""
+        self._note(event, gear, phase_rad, slip_rad_s)
+        if abs(slip_rad_s) > GRINDS_RAD_S and not self.scripted:
+            text = f"{gear.name} met at {slip_rad_s / RPM:+.0f} rpm"
+            self._violate(Violation.SLIP_AT_CONTACT, self._plant.time_us, text)
 
     def _another_meshed(self, name: Sleeve) -> bool:
         return any(sleeve.meshed for other, sleeve in self.sleeves.items() if other is not name)

@@ -65,10 +65,10 @@ class ThesisEngagement(EngagementByDelay[SleeveAxis]):
         blocked = self._another_meshed(name)
         if abs(phase) < self._half_rad and not blocked:
             sleeve.enter(time_us)
-            self._note(EngagementEvent.GAP_CONTACT, gear, phase, slip)
+            self._meets(EngagementEvent.GAP_CONTACT, gear, phase, slip)
             return
         sleeve.rest_on_tooth(time_us)
-        self._note(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
+        self._meets(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
         if blocked:
             self._block(name, time_us)
 

@@ -173,11 +173,11 @@ class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
         half = self._half_rad + (self._chamfer_rad if inward else 0.0)
         if abs(phase) < half and not blocked:
             sleeve.enter(time_us)
-            self._note(EngagementEvent.GAP_CONTACT, gear, phase, slip)
+            self._meets(EngagementEvent.GAP_CONTACT, gear, phase, slip)
             self._watch_gap(name)
             return
         sleeve.rest_on_tooth(time_us)
-        self._note(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
+        self._meets(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
         self._face(name)
         if blocked:
             self._truck.unwatch(ROW_OF_SLEEVE[name])
