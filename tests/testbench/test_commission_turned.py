@@ -148,13 +148,15 @@ def test_every_figure_has_an_interval_and_it_holds_what_the_box_is(turned, found
         ("air.supply_gauge_bar", supply_bar),
     ):
         one = measured[key]
-        assert one.low - 1e-2 <= truth <= one.high + 1e-2, (key, one, truth)
+        assert one.low <= truth <= one.high, (key, one, truth)
     delay = measured["brake.valve_delay_ms"]
     assert delay.high - delay.low < 1.5
     assert "brake.valve_delay_ms" not in {one.subject for one in found.findings}
 
 
-def test_brake_pulses_end_at_a_commanded_time_that_the_drivers_take(turned) -> None:
+def test_no_pulse_of_either_part_ends_by_a_command_that_the_drivers_refuse(turned) -> None:
+    """An activation more than 100 ms ahead: the valve would stay on until it is switched off at
+    once, tens of ms later."""
     _, core, _ = turned
     receiver, refused = Receiver(*Node), set()
     for _, frame in core.recorded:

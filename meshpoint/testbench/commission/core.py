@@ -325,9 +325,11 @@ class CommissionCore(HearingCore):
             return ValveCommand()
         name = trial.valve.name.lower()
         # The same activation again and again: it is armed once, and holds. Its end follows when it
-        # has passed, since a valve keeps one pending activation.
-        has_begun = self._due_us - TICK_US - (self._since_us or 0) >= LEAD_US
-        ends_us = (trial.activation_us + self._pulse_us()) & 0xFFFF_FFFF
+        # has passed, since a valve keeps one pending activation, and not long before it comes: one
+        # that is further ahead than 100 ms is refused.
+        pulse_us = self._pulse_us()
+        has_begun = self._due_us - TICK_US - (self._since_us or 0) >= max(pulse_us, LEAD_US)
+        ends_us = (trial.activation_us + pulse_us) & 0xFFFF_FFFF
         values: dict[str, Any] = {
             f"{name}_action": ValveAction.OFF_AT if has_begun else ValveAction.ON_AT,
             f"{name}_time_us": ends_us if has_begun else trial.activation_us,

@@ -58,6 +58,8 @@ NEAR_COUNT: Final = 0.1
 LEAST_TOUCHES: Final = 5
 LEAST_SAMPLES: Final = 4
 """Of a duty or a time: with fewer their scatter is not known."""
+LEAST_TIME_MS: Final = 0.1
+"""Half the interval of a time by steps of a position sensor, however alike all travels are."""
 MEDIAN_SHARE: Final = math.sqrt(math.pi / 2.0)
 """Standard deviation of a median over that of the mean."""
 LEAST_KISS: Final = 0.02
@@ -245,7 +247,8 @@ def _clutch(found: Commissioned, running: RunningCore) -> None:
         if len(times) < LEAST_SAMPLES:
             found.unknown(f"clutch.{key}", f"{len(times)} travels from end to end show it")
             continue
-        found.add("clutch", key, median(times), "by its position", _half(times))
+        half = max(_half(times), LEAST_TIME_MS)
+        found.add("clutch", key, median(times), "by its position", half)
 
 
 def _kiss(found: Commissioned, running: RunningCore) -> None:
