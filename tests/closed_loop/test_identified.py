@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from benchmarks.studies.identify_run import IdentifyRun
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.rig_sim.settings import Profile
 
-MAY_STAY_OPEN = {"brake touch pressure", "open clutch drag", "clutch kiss point"}
+VALVES = {
+    f"sleeve valve {gear.name.lower()} {way} delay" for gear in MAIN_GEARS for way in ("on", "off")
+}
+MAY_STAY_OPEN = {"brake touch pressure", "open clutch drag", "clutch kiss point"} | VALVES
 """What eight shifts may tell no better than the data sheet."""
 MOST_HALF = {
     "brake torque": 10.0, "brake torque by speed": 20.0, "brake valve on delay": 1.5,
@@ -38,6 +42,8 @@ def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
         off[name] = abs(one.truth - 0.5 * (one.high + one.low)) / half
     assert max(off.values()) < 1.5
     assert sum(share < 1.0 for share in off.values()) >= 16
+    valves = [one for name, one in reported.items() if name in VALVES]
+    assert sum(one.covered for one in valves) >= len(valves) - 1
     # An eccentricity that is a little off takes a stretch of a wheel's edges out together.
     for name, edges, inside in box.teeth:
         assert inside >= 0.85 * edges, name
