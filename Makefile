@@ -179,8 +179,8 @@ dbc: $(VENV)/test.stamp
 figures: $(VENV)/test.stamp
 	$(BIN)/python tools/figures.py $(NAME)
 
-# Measures all again that a command gives, one after the other (figures-all in docs/ci.md says how long
-# that takes), and names those that are entered by hand.
+# Measures all again whose code has changed since, one after the other, and names those that are entered by
+# hand. Two to three hours on two processors, most of it swarm_longest on one; interrupted, it goes on.
 figures-all: kernels
 	$(BIN)/python tools/figures.py --all
 

@@ -3,7 +3,8 @@
     python tools/figures.py            writes the file's figures into the documents
     python tools/figures.py NAME ...   makes these measurements again first: runs each one's command
                                        and takes its figures out of the JSON that it prints
-    python tools/figures.py --all      makes all again that a command gives, and names the others
+    python tools/figures.py --all      makes those again whose code has changed since, where a
+                                       command gives them, and names the others
 
 A document shows a figure between two marks, `<!-- figure: typical.aimed_gap -->` and `<!-- / -->`.
 In the same section it says of what code the figure is: between `<!-- as of: typical, alone_* -->`
@@ -214,10 +215,14 @@ def by_hand(measurement: Mapping[str, Any]) -> list[str]:
 
 
 def make_all() -> bool:
-    """Makes all measurements again that their commands give; each is in the file once it is made.
-    Whether every command did its work: the next is tried where one did not."""
+    """Makes all measurements again that their commands give, but for those of today's code. Each is
+    in the file once it is made, so a second run goes on with the others. Whether every command did
+    its work: the next is tried where one did not."""
     found, failed = measurements(), 0
     for name, measurement in found.items():
+        if is_older(measurement) is False:
+            print(f"of today's code: {name}")
+            continue
         without = by_hand(measurement)
         if without:
             print(f"by hand: {name}: {', '.join(without)}: {measurement['command']}")
