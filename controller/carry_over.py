@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
 import numpy as np
 
 from meshpoint.controller.calibration.learned import (
     CALIBRATION_FORMAT,
+    BrakeRecord,
     Calibration,
     End,
+    NoiseRecord,
     Provenance,
     ReferenceRecords,
     SwingRecords,
@@ -20,6 +27,7 @@ from meshpoint.controller.observer import Observer
 from meshpoint.controller.phase.reference_recovery import SavedReferences
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.gearbox import MainGear, Sleeve
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 
@@ -46,40 +54,100 @@ def restore(calibration: Calibration, observer: Observer, sleeves: Sleeves) -> N
     )
 
 
-def collect(
-    header: RunHeader, observer: Observer, context: ShiftContext, shifts: int, written: str
-) -> Calibration:
-    """What is known now, at a time that the caller says in `written`.
+class Learned:
+    """What a controller knows now, by the groups of a calibration file: each is worked out where it
+    is asked for, and once. What this run cannot learn stays as it was read."""
 
-    What this run cannot learn stays as it was read."""
-    before = header.calibration
-    earlier = before.provenance.shifts if before is not None else 0
-    provenance = Provenance(
-        header.version, header.sheet.name, header.sheet.sha256, written, earlier + shifts
-    )
-    recovery = observer.recovery
-    if recovery is None:
-        wheels = before.wheels if before is not None else WheelRecords()
-        references = before.references if before is not None else ReferenceRecords()
-        brake = before.brake if before is not None else None
-        noise = before.noise if before is not None else None
-        swings = before.swings if before is not None else SwingRecords()
-    else:
-        saved = recovery.saved()
-        wheels = WheelRecords(_record(saved.layshaft), _record(saved.main))
-        references = _references(saved, header.sheet.dog.pitch_rad)
-        brake = observer.brake.record()
-        noise, swings = observer.noise(), observer.swings()
+    def __init__(
+        self, header: RunHeader, observer: Observer, context: ShiftContext, shifts: int
+    ) -> None:
+        self._header, self._observer, self._context = header, observer, context
+        self._shifts = shifts
+        self._learns = observer.recovery is not None
+        self._before = header.calibration
+
+    @property
+    def provenance(self) -> Provenance:
+        """Whose figures these are; without the time of their writing."""
+        version, sheet = self._header.version, self._header.sheet
+        earlier = 0 if self._before is None else self._before.provenance.shifts
+        return Provenance(version, sheet.name, sheet.sha256, "", earlier + self._shifts)
+
+    @cached_property
+    def _saved(self) -> SavedReferences | None:
+        recovery = self._observer.recovery
+        return None if recovery is None else recovery.saved()
+
+    @property
+    def wheels(self) -> WheelRecords:
+        """The teeth."""
+        if self._saved is None:
+            return WheelRecords() if self._before is None else self._before.wheels
+        return WheelRecords(_record(self._saved.layshaft), _record(self._saved.main))
+
+    @property
+    def references(self) -> ReferenceRecords:
+        """The phase references."""
+        if self._saved is None:
+            return ReferenceRecords() if self._before is None else self._before.references
+        return _references(self._saved, self._header.sheet.dog.pitch_rad)
+
+    @cached_property
+    def brake(self) -> BrakeRecord | None:
+        """The layshaft brake."""
+        if self._learns:
+            return self._observer.brake.record()
+        return None if self._before is None else self._before.brake
+
+    @cached_property
+    def noise(self) -> NoiseRecord | None:
+        """Scatter and disturbance."""
+        if self._learns:
+            return self._observer.noise()
+        return None if self._before is None else self._before.noise
+
+    @cached_property
+    def swings(self) -> SwingRecords:
+        """The driveline's swing."""
+        if self._learns:
+            return self._observer.swings()
+        return SwingRecords() if self._before is None else self._before.swings
+
+    @cached_property
+    def sleeves(self) -> ByName:
+        """The delays of the gears, each by its name."""
+        return ByName(lambda name: self._context.sleeves.record(MainGear[name.upper()]))
+
+    @cached_property
+    def sleeve_laws(self) -> ByName:
+        """The laws of the sleeves, each by its name."""
+        return ByName(lambda name: self._context.sleeves.law(Sleeve[name.upper()]))
+
+
+class ByName:
+    """Attributes that are worked out where they are asked for, and once."""
+
+    def __init__(self, work_out: Callable[[str], Any]) -> None:
+        self._work_out = work_out
+
+    def __getattr__(self, name: str) -> Any:
+        value = self._work_out(name)
+        setattr(self, name, value)
+        return value
+
+
+def collect(learned: Learned, sleeves: Sleeves, written: str) -> Calibration:
+    """All of it, with that of the sleeves, at a time that the caller says in `written`."""
     return Calibration(
         format_=CALIBRATION_FORMAT,
-        provenance=provenance,
-        wheels=wheels,
-        references=references,
-        brake=brake,
-        noise=noise,
-        swings=swings,
-        sleeves=context.sleeves.records(),
-        sleeve_laws=context.sleeves.laws(),
+        provenance=replace(learned.provenance, written=written),
+        wheels=learned.wheels,
+        references=learned.references,
+        brake=learned.brake,
+        noise=learned.noise,
+        swings=learned.swings,
+        sleeves=sleeves.records(),
+        sleeve_laws=sleeves.laws(),
         end=End(complete=True),
     )
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
 from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.carry_over import collect, restore
+from meshpoint.controller.carry_over import Learned, collect, restore
 from meshpoint.controller.follower import Follower
 from meshpoint.controller.guard.driveline import DrivelineGuard
 from meshpoint.controller.guard.limits import guard_limits
@@ -173,7 +173,11 @@ class ControllerCore:
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; written: date and time as text for the
         file."""
-        return collect(self.header, self._observer, self._sequence, self.shifts, written)
+        return collect(self._learned, self._sequence.sleeves, written)
+
+    @property
+    def _learned(self) -> Learned:
+        return Learned(self.header, self._observer, self._sequence, self.shifts)
 
     def change_settings(self, settings: ControllerSettings) -> None:
         """Other engagement settings from the next step on; what was learned stays. Call it between
@@ -463,7 +467,7 @@ class ControllerCore:
         facts = StepFacts(
             tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
             self._guard.blocked_row or 0,
-            lambda: self.calibration(""),
+            lambda: self._learned,
         )
         ended = sequence.finished is not None
         answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)

@@ -12,7 +12,13 @@ from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import Core
 from meshpoint.bus.driver import OpenBus, run_node
-from meshpoint.bus.optional import classic_controller, diagnosed, proven, recorded_steps
+from meshpoint.bus.optional import (
+    classic_controller,
+    classic_signs,
+    diagnosed,
+    proven,
+    recorded_steps,
+)
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
@@ -20,6 +26,7 @@ from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import RunHeader
+from meshpoint.controller.only_one import SIGNS, OnlyController, OtherControllerError
 from meshpoint.controller.outage_record import OutageRecord
 from meshpoint.controller.warm_up import warm_up
 from meshpoint.dbc.messages import Estimator
@@ -42,6 +49,7 @@ async def run_controller(
     address: int = OWN_ADDRESS,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
+    OtherControllerError where there is another one on the bus (`controller/only_one.py`).
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, reports its trouble codes and answers
@@ -63,9 +71,11 @@ async def run_controller(
         node = classic_controller(node, header.sheet)
         if records is not None:
             node = recorded_steps(node, records, header.run_hash, diagnosed=diagnosis)
+    signs = classic_signs() if wire is WireProfile.CLASSIC else SIGNS
+    only = OnlyController(node, stop.set, signs, is_proven=keys is not None)
     settle()
     await run_node(
-        node,
+        only,
         open_bus,
         clock,
         on_event=on_event,
@@ -73,8 +83,11 @@ async def run_controller(
         name="controller",
         own_addresses=ADDRESSES,
         statistics=statistics,
+        on_own=only.receive_own,
         records=records,
     )
+    if only.conflict:
+        raise OtherControllerError(only.conflict)
     return statistics
 
 

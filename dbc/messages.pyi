@@ -93,6 +93,7 @@ class FaultCode(IntEnum):
     MAIN_WHEEL_WRONG = 19
     PROPELLER_WHEEL_WRONG = 20
     WHEELS_DISAGREE = 21
+    SLIP_AT_CONTACT = 22
 
 class MainGear(IntEnum):
     NEUTRAL = 0

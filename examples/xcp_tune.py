@@ -27,7 +27,7 @@ def setting(text: str, name: str) -> tuple[int, str]:
     found = re.search(rf"CHARACTERISTIC {re.escape(name)} .*\n\s*VALUE (\S+) (\w+)", text)
     if found is None:
         sys.exit(f"no setting {name}; the file has {', '.join(re.findall(HEADS, text))}")
-    return int(found[1], 16), {"float": "<f", "whole": "<I"}[found[2]]
+    return int(found[1], 16), {"single_value": "<f", "whole_value": "<I"}[found[2]]
 
 
 def master(text: str, bus: can.BusABC) -> Any:

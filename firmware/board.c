@@ -20,9 +20,10 @@ void board_power_on(void) {
 }
 
 /* What is sent each 10 ms, in the order in which the rig sends it: a bus is alike with either. */
-static void cycle(struct hal_scan scans[HAL_SCANS]) {
+static void cycle(struct hal_scan scans[HAL_SCANS], uint32_t sampled_us) {
 #if IMAGE_SENSOR
-    sensor_cycle(scans);
+    sensor_cycle(scans, sampled_us);
+    hal_watchdog(); /* a cycle may take a tick's time, with interrupts between */
 #endif
 #if IMAGE_VALVE
     valve_cycle();
@@ -31,22 +32,25 @@ static void cycle(struct hal_scan scans[HAL_SCANS]) {
     sensor_send_sleeves(scans);
 #else
     (void)scans;
+    (void)sampled_us;
 #endif
 }
 
-/* The watchdog is restarted here and nowhere else: a main loop that is stuck resets the board. */
+/* The watchdog is told here and in `cycle` alone: a main loop that is stuck resets the board. */
 void board_poll(void) {
     struct hal_scan scans[HAL_SCANS];
+    uint32_t sampled_us;
     hal_watchdog();
     board_on_time();
+    hal_keep_bus();
+    if (hal_scans(scans, &sampled_us)) {
+        cycle(scans, sampled_us); /* before edges of a later time are taken */
+    }
 #if IMAGE_SENSOR
     sensor_collect();
 #elif IMAGE_TEETH
     teeth_poll();
 #endif
-    if (hal_scans(scans)) {
-        cycle(scans);
-    }
 }
 
 void board_on_frame(const struct frame *frame) {

@@ -137,13 +137,14 @@ static void send(struct frame *frame, unsigned message) {
     hal_send(frame);
 }
 
-void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], const struct hal_scan *scan) {
+void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], uint32_t now_us,
+                       const struct hal_scan *scan) {
     struct frame frame;
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         frames_put_edges(&frame, i, &reads[i]);
         send(&frame, i);
     }
-    frames_put_gearbox_sensors(&frame, reads[0].read_us, scan);
+    frames_put_gearbox_sensors(&frame, now_us, scan);
     send(&frame, HAL_CHANNELS);
 }
 

@@ -92,7 +92,9 @@ struct command {
 /* What the board sends each 10 ms, in this order, and what it obeys, in the build's profile: on
  * CAN FD frames.c, with -DPROFILE_CLASSIC=1 frames_classic.c. */
 void frames_power_on(void);
-void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], const struct hal_scan *scan);
+/* Edges as they were read; the rest at `now_us`, the time of the pulse to a second board. */
+void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], uint32_t now_us,
+                       const struct hal_scan *scan);
 void frames_send_valves(const struct valve_report *report);
 /* One bit of `faults` a sleeve. */
 void frames_send_sleeves(uint32_t sample_us, const struct hal_scan scans[HAL_SCANS],

@@ -130,7 +130,9 @@ static uint64_t speed_of(const struct edge_read *read, uint32_t teeth) {
     return steps < MOST_SPEED ? steps : MOST_SPEED;
 }
 
-void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], const struct hal_scan *scan) {
+void frames_send_reads(const struct edge_read reads[HAL_CHANNELS], uint32_t now_us,
+                       const struct hal_scan *scan) {
+    (void)now_us; /* SensorRead dates the whole read */
     const struct edge_read *layshaft = &reads[2]; /* every second one has rising edges */
     const struct edge_read *main = &reads[4];
     unsigned of_layshaft = going(layshaft, &classic.sent[0]);

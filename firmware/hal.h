@@ -52,11 +52,18 @@ bool hal_next_edge(unsigned channel, uint32_t until_us, uint32_t *stamp_us);
 /* Whether a wheel's supply or signal is out of range, or edges of it were lost. */
 bool hal_wheel_is_bad(unsigned wheel);
 
-/* The last ten scans, newest first; true once each 10 ms, as the newest one has been made. */
-bool hal_scans(struct hal_scan scans[HAL_SCANS]);
+/* The last ten scans, newest first; true once each 10 ms, as the newest one has been made. The time
+ * is that of its sleeves: the middle of the time in which they were sampled. */
+bool hal_scans(struct hal_scan scans[HAL_SCANS], uint32_t *sampled_us);
 
-/* Puts a frame into the transmit queue, which keeps the order; what does not fit is lost. */
+/* Puts a frame into the transmit queue, which keeps the order. Where it is full the oldest frame in
+ * it is lost, and none is sent that has waited for HAL_OLDEST_US and a millisecond. */
+enum { HAL_OLDEST_US = 20000 };
 void hal_send(const struct frame *frame);
+
+/* Called each millisecond: takes back what has waited for too long, and brings a CAN controller that
+ * is off the bus back to it, with nothing to send. */
+void hal_keep_bus(void);
 
 /* Whether all frames that were to be sent have gone. */
 bool hal_is_all_sent(void);
@@ -80,7 +87,8 @@ void hal_wake_at_own(uint32_t own_us);
  * pins of the image teeth; low at reset. */
 void hal_toggle_at(unsigned wheel, uint32_t sensor_us);
 
-/* Restarts the watchdog, which resets the board HAL_WATCHDOG_US after the last time. */
+/* Says that the main loop goes on. The next tick restarts the watchdog where this was said since
+ * the last one; HAL_WATCHDOG_US after the last restart it resets the board. */
 enum { HAL_WATCHDOG_US = 2000 };
 void hal_watchdog(void);
 

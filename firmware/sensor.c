@@ -1,13 +1,15 @@
 #include "sensor.h"
 
 enum {
-    MOST_EDGES = 250,       /* in 10 ms: ten times what a wheel's teeth give at top speed */
-    MOST_SLEEVE_UM = 20000 /* the range of the wire */
+    MOST_EDGES = 108,       /* in 10 ms: four times what a frame holds */
+    MOST_SLEEVE_UM = 20000, /* the range of the wire */
+    LATE_US = 10000         /* further ahead an edge is none of this clock's: it was set back */
 };
 
 static struct edge_channel channels[HAL_CHANNELS];
 static uint16_t collected[HAL_CHANNELS]; /* edges since the last cycle */
 static uint32_t read_us;                 /* of the present cycle */
+static uint32_t collected_us;            /* no edge that was taken is later */
 static struct edge_read reads[HAL_CHANNELS];
 
 void sensor_power_on(void) {
@@ -15,10 +17,12 @@ void sensor_power_on(void) {
         edges_power_on(&channels[i], hal_sensor_us());
         collected[i] = 0;
     }
+    collected_us = hal_sensor_us() - LATE_US;
 }
 
 static void collect_to(uint32_t now_us) {
     uint32_t stamp_us;
+    collected_us = now_us;
     for (unsigned i = 0; i < HAL_CHANNELS; i++) {
         /* Noise may come faster than it is taken: what is too much waits, and the rest goes on. */
         while (collected[i] <= MOST_EDGES && hal_next_edge(i, now_us, &stamp_us)) {
@@ -61,18 +65,21 @@ static unsigned judge_sleeve(struct hal_scan scans[HAL_SCANS], unsigned sleeve) 
     return is_bad;
 }
 
-void sensor_cycle(struct hal_scan scans[HAL_SCANS]) {
+void sensor_cycle(struct hal_scan scans[HAL_SCANS], uint32_t sampled_us) {
     hal_lock(); /* nothing comes between a pulse and its time */
     if (hal_is_all_sent()) { /* else a late frame would be taken for that of this pulse */
         hal_sync_pulse();
     }
-    read_us = hal_sensor_us(); /* all wheels are read at the same microsecond */
+    uint32_t now_us = hal_sensor_us();
     hal_unlock();
+    /* All wheels are read at one microsecond, that of the sleeves unless edges were taken since. */
+    read_us = collected_us - sampled_us < LATE_US ? collected_us : sampled_us;
     collect_to(read_us);
     read_edges();
     scans[0].oil_centidegree = within(scans[0].oil_centidegree, 4000, 30000);
     scans[0].clutch_basispoint = within(scans[0].clutch_basispoint, 0, 10000);
-    frames_send_reads(reads, &scans[0]);
+    hal_watchdog(); /* what comes takes as long again */
+    frames_send_reads(reads, now_us, &scans[0]);
 }
 
 void sensor_send_sleeves(struct hal_scan scans[HAL_SCANS]) {

@@ -7,7 +7,7 @@
 
 enum {
     TRANSMITTERS = 8,            /* the four sleeves, brake, supply, oil, clutch */
-    TRANSMITTER_FULL = 4095 * 16 /* of a reading: 12 bits, 256 samples added and divided by 16 */
+    TRANSMITTER_FULL = 4095 * 16 /* of a reading: 12 bits, 16 samples added */
 };
 
 /* Whether a signal from 10 to 90 % of full scale is beyond 5 or 95: a wire is broken or shorted. */

@@ -33,6 +33,8 @@ FAILURES: Final = "meshpoint-failures"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The command line's choices."""
+    from meshpoint.bus import given_numbers
+
     group = parser.getgroup("meshpoint", "the bench of meshpoint")
     group.addoption(
         "--meshpoint-backend", choices=BACKENDS, default=BACKENDS[0],
@@ -54,7 +56,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="for all but virtual: the nodes run in this process",
     )  # fmt: skip
     group.addoption(
-        "--meshpoint-speed", type=float, default=1.0, metavar="X",
+        "--meshpoint-speed", type=given_numbers.speed, default=1.0, metavar="X",
         help="for all but virtual: this many times as fast as the wall clock (default: 1)",
     )  # fmt: skip
     group.addoption(

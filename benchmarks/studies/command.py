@@ -16,6 +16,7 @@ from benchmarks.studies.record import Study, ThesisVerdict
 from benchmarks.studies.registry import STUDIES, chosen
 from benchmarks.studies.runner import StudyRecord, run_studies
 from benchmarks.studies.settings import StudySettings, load_study_settings, shipped_text
+from meshpoint.bus import given_numbers
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.rig_sim.settings import Profile
@@ -73,7 +74,7 @@ def parser() -> Parser:
     )
     found.add_argument(
         "--workers",
-        type=arguments.whole(1, MAX_WORKERS),
+        type=given_numbers.whole(1, MAX_WORKERS),
         default=os.cpu_count() or 1,
         metavar="N",
         help="processes; the results do not depend on it (default: one a processor)",

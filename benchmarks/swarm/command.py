@@ -13,6 +13,7 @@ from rich.table import Table
 
 from benchmarks.swarm.events import load_world
 from benchmarks.swarm.swarm import NAMES, Swarm, SwarmSpec, run_swarm
+from meshpoint.bus import given_numbers
 from meshpoint.testbench.cli import run_parsed
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.parsing import Parser, examples
@@ -44,15 +45,18 @@ def parser() -> Parser:
         epilog=examples("python -m benchmarks.swarm --hours 2 --seed 1 --jobs 2 --json -"),
     )
     found.add_argument(
-        "--hours", type=_positive, default=1.0, metavar="H",
+        "--hours", type=given_numbers.number(1e-6, 1e6), default=1.0, metavar="H",
         help="simulated hours (default: 1)",
     )  # fmt: skip
-    found.add_argument("--wall", type=_positive, metavar="S", help="begin no world after S seconds")
+    found.add_argument(
+        "--wall", type=given_numbers.some_seconds, metavar="S",
+        help="begin no world after S seconds",
+    )  # fmt: skip
     found.add_argument(
         "--scenario", type=Path, metavar="FILE", help="repeat a world that was found, alone"
     )
     found.add_argument(
-        "--jobs", type=arguments.whole(1, 1024), default=os.cpu_count() or 1, metavar="J",
+        "--jobs", type=given_numbers.whole(1, 1024), default=os.cpu_count() or 1, metavar="J",
         help="worker processes (default: one a processor)",
     )  # fmt: skip
     found.add_argument(
@@ -138,13 +142,3 @@ def reached_table(values: dict[str, Any], gearbox: str) -> Table:
         missing = ", ".join(part["missing"]) or "-"
         table.add_row(f"{part['reached']} {WORDS[name]}", str(part["declared"]), missing)
     return table
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number above 0")
-    return value

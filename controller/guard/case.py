@@ -195,11 +195,7 @@ class Case(NamedTuple):
             return False
         end_us = min(span.end_us, self.seen.now_us + self.limits.switch_again_us)
         lasts_us = end_us - self._since_us(valve, span)
-        is_ended = span.end_us == end_us
-        comes_back = lasts_us <= self._short_us(way_m) and not (
-            is_ended and -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
-            and lasts_us > self._push_us(valve, way_m)
-        )
+        comes_back = lasts_us <= self._short_us(way_m) and not self._is_long_push(valve, span)
         return comes_back or end_us - span.start_us <= brakes_us
 
     def _runs_through(self, valve: int, span: Span) -> bool:
@@ -218,16 +214,22 @@ class Case(NamedTuple):
             return max(short_us, float(self.limits.switch_again_us))
         return short_us
 
-    def _push_us(self, valve: int, way_m: float) -> float:
-        """For so long a sleeve that stands before the other gear's teeth may be pushed towards
-        neutral, once the push's end is commanded: it stops short also where its valve opens early
-        and shuts late; or it has withstood nearly as much from there, or from nearer neutral."""
+    def _is_long_push(self, valve: int, span: Span) -> bool:
+        """Whether a sleeve that stands before the other gear's teeth is pushed towards neutral for
+        longer than stops short also where its valve opens early and shuts late, and than it has
+        withstood from there or from nearer neutral. Judged once the push's end is commanded."""
+        way_m, other = self.set_off_m(valve, span), OTHER_OF_MAIN[valve]
+        stands = self.last_drive(other) is None and self.spans[other] is None
+        is_before_teeth = -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
+        is_ended = span.end_us <= self.seen.now_us + self.limits.switch_again_us
+        if not (stands and is_before_teeth and is_ended):
+            return False
         stops_us = longest_pulse_us(self.limits, way_m) - self.limits.sleeve_scatter_us
-        most_us = max(stops_us, LEAST_PUSH_US)
         before = self.state.pushes.get(valve)
-        if before is None or way_m > before.stood_m:
-            return most_us
-        return max(most_us, before.driven_us + LONGER_US)
+        is_proven = before is not None and way_m <= before.stood_m
+        withstood_us = before.driven_us + LONGER_US if before is not None and is_proven else 0
+        lasts_us = span.end_us - self._since_us(valve, span)
+        return lasts_us > max(stops_us, LEAST_PUSH_US, withstood_us)
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

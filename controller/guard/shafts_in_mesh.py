@@ -5,6 +5,11 @@ that is in, the main shaft the propeller shaft by the range's step. Of each such
 own counts of sensor teeth are compared for as long as the sleeve stands in; with three pairs it is
 often clear which wheel is wrong. What was found is remembered while nothing is in mesh, until the
 counts agree again.
+
+Which wheels to believe is another question than which one to name. A wheel may read wrong for a
+moment: then its neighbours agree with it again one after the other, and the one that is last has
+not gone wrong meanwhile. So a wheel is proven right, and the other one of a contradiction named,
+only by counts that agreed while the contradiction was made.
 """
 
 from __future__ import annotations
@@ -59,7 +64,21 @@ class _Pair:
         self.verdict = Verdict.NONE
         self.in_mesh = False
         self._ratio: float | None = None
+        self._step = 0
+        self._agreed_from = self._agreed_at = self._denied_from = 0
+        """Steps: at which those counts began that have agreed without a break since, at which the
+        last of them agreed, and at which those of the newest contradiction began."""
         self.begin_anew()
+
+    def proves(self, other: _Pair) -> bool:
+        """Whether it has agreed in this step, and the newest contradiction of another pair was made
+        while it did."""
+        return (
+            self.verdict is Verdict.AGREED
+            and self._agreed_at == self._step
+            and other.verdict is Verdict.DENIED
+            and self._agreed_from <= other._denied_from
+        )
 
     def ask_anew(self) -> None:
         """Another pair's contradiction is new: what agreed before it says nothing of it."""
@@ -70,6 +89,7 @@ class _Pair:
 
     def begin_anew(self) -> None:
         """Another window."""
+        self._begun = self._step
         self._before: tuple[TeethCounted, TeethCounted] | None = None
         self._teeth = [0, 0]
         self._took_us = [0, 0]
@@ -77,6 +97,7 @@ class _Pair:
     def take(self, ratio: float | None, a: TeethCounted | None, b: TeethCounted | None) -> None:
         """ratio: speed of b over that of a; None where they are not in mesh. A count is None where
         a wheel stands, or its newest teeth are not to be believed."""
+        self._step += 1
         if ratio is None or ratio != self._ratio:
             self.begin_anew()
         self._ratio = ratio
@@ -115,10 +136,12 @@ class _Pair:
             expected, counted = counted_a * pace * took_b / took_a, counted_b
         most = max(expected, counted)
         if abs(expected - counted) > self._slack_teeth + SLACK_SHARE * most:
-            self.verdict = Verdict.DENIED
+            self.verdict, self._denied_from = Verdict.DENIED, self._begun
             self.begin_anew()
         elif most >= WHOLE_TEETH and (self.verdict is not Verdict.DENIED or took_a >= AGAIN_US):
-            self.verdict = Verdict.AGREED
+            if self.verdict is not Verdict.AGREED:
+                self._agreed_from = self._begun
+            self.verdict, self._agreed_at = Verdict.AGREED, self._step
             self.begin_anew()
 
 
@@ -130,6 +153,8 @@ class ShaftsInMesh:
         each = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         self._pairs = [_Pair(each[k], each[k + 1]) for k in range(3)]
         self._limits = limits
+        self._proven: list[set[int]] = [set(), set(), set()]
+        """Wheels of each pair that are proven right while it is denied."""
         self._is_news = False
         """A contradiction is new since the doubt was last settled."""
         self.in_doubt: tuple[int, ...] = ()
@@ -152,14 +177,30 @@ class ShaftsInMesh:
                 self._is_news = True
                 for other in pairs:
                     other.ask_anew()
+                for proven in self._proven:
+                    proven.clear()
+        for k, pair in enumerate(pairs):
+            for other_k in BESIDE[k]:
+                if pair.proves(pairs[other_k]):
+                    self._proven[other_k].add(max(k, other_k))
         if not self._has_to_wait():
-            found, known = self._suspects(), self.in_doubt
-            # A wheel that others have proven right does not come into doubt as a gear goes out.
-            if known and not self._is_news:
-                found = tuple(wheel for wheel in found if wheel in known)
-            self.in_doubt, self._is_news = found, False
-            if not self.in_doubt:
-                self._forgive()
+            self._settle()
+
+    def _settle(self) -> None:
+        """What is in doubt from now on. Without a new contradiction no wheel comes into doubt that
+        was not, and those that were stay until all that is in mesh agrees again."""
+        found, known = self._accused(self._proven), set(self.in_doubt)
+        if known and not self._is_news:
+            settled = not any(
+                pair.verdict is Verdict.DENIED and pair.in_mesh for pair in self._pairs
+            )
+            if settled and not known & self._accused([self._agreeing()] * 3):
+                found = set()
+            else:
+                found = found & known or known
+        self.in_doubt, self._is_news = tuple(sorted(found)), False
+        if not self.in_doubt:
+            self._forgive()
 
     def _ratios(self, positions_m: tuple[float, ...] | None) -> Ratios:
         """Speed over speed of each pair by the sleeves that stand in."""
@@ -192,13 +233,16 @@ class ShaftsInMesh:
             and any(pairs[other].verdict is Verdict.PENDING for other in BESIDE[denied[0]])
         )
 
-    def _suspects(self) -> tuple[int, ...]:
-        """The wheels that every contradiction has in common; else, two being wrong, those of
-        each. A wheel that agrees with its other neighbour is none of them."""
+    def _agreeing(self) -> set[int]:
+        """Wheels that agree with a neighbour now."""
         pairs = self._pairs
-        agreed = {w for k in range(3) if pairs[k].verdict is Verdict.AGREED for w in (k, k + 1)}
-        denied = [{k, k + 1} - agreed for k in range(3) if pairs[k].verdict is Verdict.DENIED]
+        return {w for k in range(3) if pairs[k].verdict is Verdict.AGREED for w in (k, k + 1)}
+
+    def _accused(self, cleared: Sequence[set[int]]) -> set[int]:
+        """The wheels that every contradiction has in common; else, two being wrong, those of each.
+        cleared: for each pair the wheels that are none of them."""
+        pairs = self._pairs
+        denied = [{k, k + 1} - cleared[k] for k in range(3) if pairs[k].verdict is Verdict.DENIED]
         if not denied:
-            return ()
-        common = set.intersection(*denied)
-        return tuple(sorted(common or set.union(*denied)))
+            return set()
+        return set.intersection(*denied) or set.union(*denied)

@@ -25,7 +25,7 @@ from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
-from meshpoint.units import US
+from meshpoint.units import RPM, US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -36,6 +36,8 @@ side: the activation is sent again."""
 BRAKE_GAUGES: Final = 8
 SHUTS_US: Final = 25 * MS_IN_US
 """A sample is there this long after a valve's current of when the slowest valve has shut."""
+SPEEDS_RAD_S: Final = 10.0 * RPM
+"""Error of a slip by two measured speeds."""
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
@@ -169,7 +171,20 @@ class ShiftContext:
         if math.isfinite(snapshot.supply_pa):
             self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         self.sleeves.take(snapshot.view, snapshot.now_us)
+        if any(self._turns_against(gear, snapshot) for gear in self.sleeves.reached()):
+            self.fault = FaultCode.SLIP_AT_CONTACT
+            if self.shift is not None:
+                self.shift.grinds = True
         self.brake_gauges.append((snapshot.now_us, snapshot.view.brake_gauge_pa))
+
+    def _turns_against(self, gear: MainGear, snapshot: StepSnapshot) -> bool:
+        """Whether a gear turns against its sleeve faster than the guard lets any be fired, by the
+        measured speeds."""
+        slip_rad_s, guard = snapshot.speeds.slip_rad_s(gear), self.settings.guard
+        if slip_rad_s is None:
+            return False
+        low_rad_s, high_rad_s = guard.slip_low_rad_s, guard.slip_high_rad_s
+        return not low_rad_s - SPEEDS_RAD_S <= slip_rad_s <= high_rad_s + SPEEDS_RAD_S
 
     def tell_sleeves(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""
@@ -190,6 +205,8 @@ class ShiftContext:
         """Ends the running shift with this result; all valves go off. ended_us: when a sensor
         showed it to be over, if not now."""
         shift = self.running
+        if fault is FaultCode.NONE and shift.grinds:
+            fault = FaultCode.SLIP_AT_CONTACT
         shift.result, shift.fault = result, fault
         shift.end_us = snapshot.now_us if ended_us is None else ended_us
         self.fault = fault

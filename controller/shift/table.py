@@ -151,6 +151,8 @@ class ShiftRecord:
     """The steps until the plates part, as the last step planned."""
     owed_share: float = 0.0
     """What rounding has left out of the torque asked for."""
+    grinds: bool = False
+    """Whether a sleeve has come to a gear that turns against it outside the guard's window."""
     pulls: int = 0
     """How often the old gear was pulled."""
     pushed_us: int | None = None

@@ -167,6 +167,13 @@ class Sleeves:
             scatter_s = chance.scatter_s if chance.samples else of_others_s
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = scatter_s
 
+    def reached(self) -> list[MainGear]:
+        """The gears to whose teeth a sleeve has come by the newest samples, whatever sent it
+        there."""
+        return [
+            gear for gear, s in _SIDES.items() if self._sleeves[s.sleeve].reached == s.direction
+        ]
+
     def contact_us(self, gear: MainGear, fired_us: int) -> float | None:
         """When the sleeve that was fired then came to this gear's teeth, as measured; None before
         it did."""
@@ -356,10 +363,10 @@ class Sleeves:
     def _pulse(
         self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0
     ) -> Pulse:
-        """By the law, longer by so much, but no longer than this and than is sure."""
+        """By the law, but no longer than is sure; and by so much longer, up to this."""
         tracked = self._sleeves[sleeve]
-        by_law_us = pulse_to_neutral_us(tracked, direction, on_us) + longer_us
-        long_us = sure_pulse_us(tracked, direction, on_us, min(by_law_us, most_us))
+        by_law_us = min(pulse_to_neutral_us(tracked, direction, on_us), most_us)
+        long_us = min(sure_pulse_us(tracked, direction, on_us, by_law_us) + longer_us, most_us)
         return self._pulse_of(sleeve, on_us, direction, long_us)
 
     def _pulse_of(self, sleeve: Sleeve, on_us: int, direction: int, long_us: int) -> Pulse:
@@ -368,28 +375,31 @@ class Sleeves:
 
     def records(self) -> SleeveRecords:
         """What a calibration file keeps of the gears whose contacts have been seen."""
+        return SleeveRecords(**{gear.name.lower(): self.record(gear) for gear in self._chances})
+
+    def record(self, gear: MainGear) -> SleeveRecord | None:
+        """That of one gear; None where no contact of it has been seen."""
+        chance = self._chances[gear]
+        if chance.samples == 0:
+            return None
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
-        gears = {
-            gear.name.lower(): SleeveRecord(
-                delay_s=max(self.from_neutral(gear).contact_us * US, self._least_s),
-                samples=chance.weight,
-                scatter_s=chance.scatter_s,
-                scatter_samples=chance.freedom,
-            )
-            for gear, chance in self._chances.items()
-            if chance.samples > 0
-        }
+        contact_us = self.from_neutral(gear).contact_us
         self.supply_pa = supply_pa
-        return SleeveRecords(**gears)
+        return SleeveRecord(
+            delay_s=max(contact_us * US, self._least_s),
+            samples=chance.weight,
+            scatter_s=chance.scatter_s,
+            scatter_samples=chance.freedom,
+        )
 
     def laws(self) -> SleeveLawRecords:
         """What it keeps of the sleeves whose law was learned."""
-        laws = {
-            sleeve.name.lower(): law_record(tracked.known, tracked.movements)
-            for sleeve, tracked in self._sleeves.items()
-            if tracked.movements > 0
-        }
-        return SleeveLawRecords(**laws)
+        return SleeveLawRecords(**{each.name.lower(): self.law(each) for each in self._sleeves})
+
+    def law(self, sleeve: Sleeve) -> SleeveLawRecord | None:
+        """That of one sleeve; None where it was not learned."""
+        tracked = self._sleeves[sleeve]
+        return law_record(tracked.known, tracked.movements) if tracked.movements > 0 else None
 
     def law_figures(self, gear: MainGear) -> LawFigures:
         """What is known of the law by which the sleeve goes to this gear."""

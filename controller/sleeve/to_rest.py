@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,9 @@ LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
 NEAR_NEUTRAL_M: Final = 1e-3
 SURE: Final = 2.5
+BAD_AT: Final = (0.6, 0.8, 1.0)
+"""Shares of a pulse's length at which the bad side is looked for: where its detent holds a sleeve,
+or friction does not let it go yet, nothing changes how far it gets."""
 
 
 def rests_at_m(sleeve: DrivenSleeve, at_us: int, pulse: tuple[Switch, ...] = ()) -> float:
@@ -47,20 +51,27 @@ def pulse_to_neutral_us(sleeve: DrivenSleeve, direction: int, on_us: int) -> int
 
 
 def sure_pulse_us(sleeve: DrivenSleeve, direction: int, on_us: int, most_us: int) -> int:
-    """The longest pulse, up to `most_us`, by which a sleeve stays short of the teeth beyond
-    neutral, with law and switches SURE standard deviations off to the bad side: one that falls
-    short costs another push, one thrown through meets a gear that may turn at any speed."""
+    """The longest pulse, up to `most_us`, that leaves a sleeve short of the teeth beyond neutral
+    with law and switches SURE standard deviations off to the bad side: one that falls short costs
+    another push, one thrown through meets a gear that may turn at any speed."""
     before = [one for one in sleeve.switches if one.time_us <= on_us]
 
-    def gets_m(unknowns: Vector, long_us: int = most_us) -> Vector:
+    def gets_m(unknowns: Vector, long_us: int) -> Vector:
         return _gets_m(sleeve, direction, [*before, *pulse_of(direction, on_us, long_us)], unknowns)
 
-    switches = [*before, *pulse_of(direction, on_us, most_us)]
-    expected_m = float(gets_m(sleeve.unknowns(switches)[np.newaxis])[0])
-    bad_side = sleeve.unknowns_at(SURE, gets_m, switches, expected_m)[np.newaxis]
+    bad_sides = []
+    for share in BAD_AT:
+        long_us = int(share * most_us)
+        figure, switches = (
+            partial(gets_m, long_us=long_us),
+            [*before, *pulse_of(direction, on_us, long_us)],
+        )
+        expected_m = float(figure(sleeve.unknowns(switches)[np.newaxis])[0])
+        bad_sides.append(sleeve.unknowns_at(SURE, figure, switches, expected_m))
+    unknowns = np.array(bad_sides)
 
     def is_short(long_us: int) -> bool:
-        return bool(gets_m(bad_side, long_us)[0] < sleeve.law.face_m)
+        return bool(np.max(gets_m(unknowns, long_us)) < sleeve.law.face_m)
 
     return most_us if is_short(most_us) else _longest_us(is_short, most_us)
 

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
-from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_REST, TO_TIME
+from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_TIME
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.fit import fit
 from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw
@@ -17,6 +17,8 @@ from meshpoint.controller.sleeve.motion import Start, Way, follow
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
+AT_TEETH_M: Final = 2e-4
+"""What its sensor may be wrong by: no nearer to the teeth than this it touches none."""
 STANDS_US: Final = 40_000
 """So long after its last switch a sleeve that stands still stays where it is."""
 VENTED_PA: Final = 2e3
@@ -37,7 +39,6 @@ REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 NEUTRAL_M: Final = 1.5e-3
-RESTS_US: Final = 400_000
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -104,6 +105,9 @@ class TrackedSleeve(DrivenSleeve):
         """No tooth stands in its way, and the law has been right since it left its rest."""
         self.contact: Contact | None = None
         """The newest contact."""
+        self.reached = 0
+        """The side on which these samples show it come to a gear's teeth, or past them; 0: neither.
+        Whatever the law says."""
         self.met_us: dict[int, float] = {}
         """When it last came to the teeth on either side, as measured; whatever the law says."""
 
@@ -119,7 +123,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def take(self, track: SleeveTrack) -> None:
         """The newest samples."""
-        count = len(track.samples_m)
+        count, self.reached = len(track.samples_m), 0
         if self.newest_us is not None and track.newest_us < self.newest_us:
             self._begin_anew(track)
         if self.newest_us is not None:
@@ -127,6 +131,7 @@ class TrackedSleeve(DrivenSleeve):
         if count <= 0:
             return
         self.newest_us = track.newest_us
+        self.reached = self._reaches(track, count)
         moves_us = self._moves_us()
         if moves_us is None or track.newest_us < moves_us:
             self._rest(track)
@@ -143,6 +148,15 @@ class TrackedSleeve(DrivenSleeve):
                 self._see_contact(track, direction)
         if self._is_over(track):
             self._settle(track)
+
+    def _reaches(self, track: SleeveTrack, count: int) -> int:
+        """The side on which it comes to teeth within so many of the newest samples."""
+        level_m = self.law.face_m - AT_TEETH_M
+        places_m = [self.place_of(reading) for reading in track.samples_m[: count + 1]]
+        for direction in (-1, 1):
+            if direction * places_m[0] >= level_m > min(direction * place for place in places_m):
+                return direction
+        return 0
 
     def _begin_anew(self, track: SleeveTrack) -> None:
         """The sensors' clock has gone back: nothing of before holds but what was learned."""
@@ -210,21 +224,8 @@ class TrackedSleeve(DrivenSleeve):
         place_m = self.place_of(self.movement.readings_m[-1])
         if len(own) < 2 or not own[0].on or direction * place_m > NEUTRAL_M:
             return
-        if abs(from_m) < self.law.face_m:
+        if NEUTRAL_M < abs(from_m) < self.law.face_m:
             self.withstood[direction] = Push(own[1].time_us - own[0].time_us, abs(from_m))
-
-    @property
-    def _was_held(self) -> bool:
-        """Whether it came less far out of a gear than was expected: torque on the teeth may have
-        held it, which is no property of the sleeve."""
-        from_m = float(self.start.state[0])
-        if abs(from_m) < self.law.face_m:
-            return False
-        expected = self.prior_of_movement().mean
-        until_us = self.movement.times_us[-1] + RESTS_US
-        rests_m = self.ahead(ending=TO_REST, until_us=until_us, unknowns=expected).m
-        place_m = self.place_of(self.movement.readings_m[-1])
-        return abs(place_m - from_m) < abs(rests_m - from_m)
 
     def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
@@ -297,7 +298,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _learn(self) -> None:
         """What the movement showed is known from now on, if the law explains it."""
-        if self._is_explained and not self._was_held:
+        if self._is_explained:
             mean, covariance = self.learned.copy(), self.joint[:PARAMETERS, :PARAMETERS]
             faded = (1.0 - FADES) * covariance + FADES * self._sheet.covariance
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0

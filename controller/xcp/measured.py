@@ -54,9 +54,10 @@ class LearnedFigure:
         """As the calibration file has it."""
         return ".".join(("learned", *self.groups, self.rule.key))
 
-    def of(self, calibration: Calibration) -> float:
-        """Its value; NaN before anything is known of it."""
-        found: Any = calibration
+    def of(self, learned: Any) -> float:
+        """Its value, of something with the groups of `Calibration`; NaN before anything is known of
+        it."""
+        found = learned
         for name in (*self.groups, self.attribute):
             if found is None:
                 break
@@ -88,8 +89,9 @@ class StepFacts:
     """In the order of `SLEEVES`; NaN before its first sample."""
     guard_row: int
     """That blocked this step's valve command; 0: none."""
-    calibration: Callable[[], Calibration]
-    """What has been learned; it takes time to collect, and is asked for where a master reads it."""
+    learned: Callable[[], Any]
+    """What has been learned, with the groups of `Calibration`. Each takes time to work out: it is
+    asked for where a master reads it."""
 
 
 class MeasuredMemory:
@@ -98,7 +100,8 @@ class MeasuredMemory:
     def __init__(self) -> None:
         self._sent = bytearray(SENT_BYTES)
         self._facts: StepFacts | None = None
-        self._figures: bytes | None = bytes(FIGURE_BYTES * FIGURES)
+        self._learned: Any = None
+        """Of the newest step, once any of it was read."""
 
     def take(self, frames: Iterable[Frame], facts: StepFacts) -> None:
         """What a step sends; a message that it does not send stays as it was."""
@@ -106,20 +109,29 @@ class MeasuredMemory:
             start = OFFSETS.get(frame.can_id)
             if start is not None:
                 self._sent[start : start + len(frame.data)] = frame.data
-        self._facts, self._figures = facts, None
+        self._facts, self._learned = facts, None
 
     def read(self, start: int, length: int) -> bytes:
         """Some of the bytes."""
         end = start + length
+        sent = bytes(self._sent[start:end])
         if end <= SENT_BYTES:
-            return bytes(self._sent[start:end])
-        if self._figures is None and self._facts is not None:
-            self._figures = _packed(self._facts)
-        return (bytes(self._sent) + (self._figures or b""))[start:end]
+            return sent
+        begin = max(start, SENT_BYTES) - SENT_BYTES
+        first, last = begin // FIGURE_BYTES, -(-(end - SENT_BYTES) // FIGURE_BYTES)
+        numbers = [self._figure(number) for number in range(first, min(last, FIGURES))]
+        figures = struct.pack(f"<{len(numbers)}f", *numbers)
+        return sent + figures[begin - FIGURE_BYTES * first :][: length - len(sent)]
 
-
-def _packed(facts: StepFacts) -> bytes:
-    calibration = facts.calibration()
-    sleeves_mm = (place_m / MM for place_m in facts.sleeves_m)
-    learned = (figure.of(calibration) for figure in LEARNED)
-    return struct.pack(f"<{FIGURES}f", *sleeves_mm, facts.guard_row, *learned)
+    def _figure(self, number: int) -> float:
+        """One of the floats behind the messages; what it does not need is not worked out."""
+        facts = self._facts
+        if facts is None:
+            return 0.0
+        if number < len(SLEEVES):
+            return facts.sleeves_m[number] / MM
+        if number == len(SLEEVES):
+            return facts.guard_row
+        if self._learned is None:
+            self._learned = facts.learned()
+        return LEARNED[number - len(SLEEVES) - 1].of(self._learned)

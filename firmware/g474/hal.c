@@ -8,7 +8,16 @@
 
 enum {
     LOST_LOOKS = 5, /* at a wheel, two a read: for two reads edges are said to be lost */
-    QUEUE = 32      /* frames behind the three of the FDCAN */
+    QUEUE = 32,     /* frames behind the buffers of the FDCAN */
+    BUFFERS = 3,
+    /* From a scan's beginning to the middle of its four sleeves: two of them, 16 times 37 clocks of
+     * 40 MHz each. */
+    SLEEVES_US = (2 * 16 * 37 + 20) / 40
+};
+
+struct waiting {
+    struct frame frame;
+    uint32_t since_us; /* own time */
 };
 
 /* A ring of captured edges. */
@@ -25,11 +34,16 @@ volatile uint16_t levels_raw[HAL_WHEELS];
 volatile bool is_due;
 static struct input inputs[HAL_CHANNELS];
 static uint8_t lost[HAL_WHEELS];
+volatile uint32_t scanned_us;
 static volatile bool is_scan;
-static volatile bool is_fed = true; /* until the first tick: the watchdog has a window */
-static struct frame queue[QUEUE];
+static volatile uint32_t sleeves_us; /* of the ten scans that are there */
+static volatile bool goes_on = true; /* the main loop; until the first tick it has nothing to do */
+static struct waiting queue[QUEUE];
 static uint32_t queued; /* frames since power-on */
 static uint32_t sent;
+static uint32_t since_us[BUFFERS]; /* own time; of what waits in them */
+static uint32_t newest_id;         /* of those */
+static bool is_cancelling;
 
 uint32_t hal_sensor_us(void) {
     return TIM2->CNT;
@@ -83,11 +97,12 @@ bool hal_wheel_is_bad(unsigned wheel) {
     return lost[wheel] > 0 || transmitter_is_broken(levels_raw[wheel] * 16U);
 }
 
-bool hal_scans(struct hal_scan scans[HAL_SCANS]) {
+bool hal_scans(struct hal_scan scans[HAL_SCANS], uint32_t *sampled_us) {
     if (!is_scan) {
         return false;
     }
     is_scan = false;
+    *sampled_us = sleeves_us;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
         transmitters_scale(scans_raw[HAL_SCANS - 1 - i], &scans[i]);
     }
@@ -121,11 +136,22 @@ static void get_element(const struct can_element *element, struct frame *frame) 
     }
 }
 
-/* With interrupts kept out. */
+static bool is_stale(uint32_t waits_since_us) {
+    return TIM5->CNT - waits_since_us > HAL_OLDEST_US;
+}
+
+/* Buffers of which one can be taken back send the lowest identifier first: to keep the order, a
+ * frame waits until all in them have a lower one. With interrupts kept out. */
 static void transmit(void) {
-    while (sent != queued && !(FDCAN1->TXFQS & BIT(21))) {
+    while (sent != queued && !is_cancelling && !hal_is_bus_off() && !(FDCAN1->TXFQS & BIT(21))) {
+        const struct waiting *next = &queue[sent % QUEUE];
         uint32_t place = FDCAN1->TXFQS >> 16 & 3;
-        put_element(&FDCAN1_RAM->tx[place], &queue[sent % QUEUE]);
+        if (FDCAN1->TXBRP != 0 && next->frame.id <= newest_id) {
+            return;
+        }
+        put_element(&FDCAN1_RAM->tx[place], &next->frame);
+        since_us[place] = next->since_us;
+        newest_id = next->frame.id;
         sent++;
         FDCAN1->TXBAR = BIT(place);
     }
@@ -133,11 +159,46 @@ static void transmit(void) {
 
 void hal_send(const struct frame *frame) {
     hal_lock();
-    if (queued - sent < QUEUE) {
-        queue[queued % QUEUE] = *frame;
-        queued++;
-    }
+    sent += queued - sent == QUEUE;
+    queue[queued % QUEUE].frame = *frame;
+    queue[queued % QUEUE].since_us = TIM5->CNT;
+    queued++;
     transmit();
+    hal_unlock();
+}
+
+/* A buffer that was taken back is filled again a millisecond later: a frame that was being sent is
+ * over by then, also where the FDCAN says too early that it is. */
+static void take_back_stale(void) {
+    uint32_t pending = FDCAN1->TXBRP;
+    uint32_t stale = 0;
+    while (sent != queued && is_stale(queue[sent % QUEUE].since_us)) {
+        sent++;
+    }
+    for (unsigned i = 0; i < BUFFERS; i++) {
+        stale |= (pending & BIT(i)) != 0 && is_stale(since_us[i]) ? BIT(i) : 0;
+    }
+    is_cancelling = stale != 0;
+    FDCAN1->TXBCR = stale;
+}
+
+/* CCE empties the buffers; the FDCAN waits for 129 idle times by itself once INIT is 0. */
+static void come_back(void) {
+    sent = queued;
+    if ((FDCAN1->CCCR & BIT(0)) != 0) {
+        FDCAN1->CCCR |= BIT(1);
+        FDCAN1->CCCR &= ~(BIT(0) | BIT(1));
+    }
+}
+
+void hal_keep_bus(void) {
+    hal_lock();
+    if (hal_is_bus_off()) {
+        come_back();
+    } else {
+        take_back_stale();
+        transmit();
+    }
     hal_unlock();
 }
 
@@ -145,14 +206,8 @@ bool hal_is_all_sent(void) {
     return sent == queued && FDCAN1->TXBRP == 0;
 }
 
-/* A controller that is off the bus comes back by itself once it is let: what waited is old then. */
 bool hal_is_bus_off(void) {
-    bool is_off = (FDCAN1->PSR & BIT(7)) != 0;
-    if (is_off) {
-        sent = queued;
-        FDCAN1->CCCR &= ~BIT(0);
-    }
-    return is_off;
+    return (FDCAN1->PSR & BIT(7)) != 0;
 }
 
 /* Valves 0 to 6 on PC6 to PC12, 7 and 8 on PB13 and PB14. A bit to set wins over one to clear. */
@@ -186,12 +241,8 @@ void hal_wake_at_own(uint32_t own_us) {
     wake(0, own_us);
 }
 
-/* Once a tick: a window watchdog takes a refresh that comes early for a fault. */
 void hal_watchdog(void) {
-    if (!is_fed) {
-        is_fed = true;
-        IWDG->KR = 0xAAAA;
-    }
+    goes_on = true;
 }
 
 void hal_lock(void) {
@@ -217,15 +268,21 @@ static void watch_rings(void) {
     }
 }
 
+/* The watchdog has a window: it is restarted by the tick, which nothing holds up but one interrupt
+ * or one stretch of the main loop with interrupts kept out, 0.1 ms at most. */
 void on_tick(void) {
+    if (goes_on) {
+        goes_on = false;
+        IWDG->KR = 0xAAAA;
+    }
     watch_rings();
     is_due = true;
-    is_fed = false;
     GPIOA->BSRR = BIT(8 + 16);
 }
 
 void on_scan(void) {
     DMA2->IFCR = BIT(0);
+    sleeves_us = scanned_us + SLEEVES_US;
     is_scan = is_due = true;
 }
 

@@ -69,20 +69,23 @@ static void start_wheels(void) { /* four outputs, low until they toggle */
 static void start_converters(void) { /* their inputs are such outputs */
 }
 #else
-/* 32 bits from a register, 16 of them to memory, around in a circle. */
+/* 32 bits from a register, all or 16 of them to memory, around in a circle. */
+enum { WHOLE = 0x800, HALF = 0x400, COMPLETE = 2 };
+
 static void start_ring(struct dma *dma, unsigned channel, uint32_t request, reg *from,
-                       volatile uint16_t *to, uint32_t count, uint32_t interrupt) {
+                       uint32_t to, uint32_t count, uint32_t options) {
     DMAMUX[channel + (dma == DMA2 ? 8 : 0)] = request;
     dma->CH[channel].CPAR = (uint32_t)from;
-    dma->CH[channel].CMAR = (uint32_t)to;
+    dma->CH[channel].CMAR = to;
     dma->CH[channel].CNDTR = count;
-    dma->CH[channel].CCR = BIT(0) | interrupt | BIT(5) | BIT(7) | BIT(9) | BIT(10);
+    dma->CH[channel].CCR = BIT(0) | BIT(5) | BIT(7) | BIT(9) | options;
 }
 
 /* Both edges of two inputs: units 1 and 2 capture the first one's, 3 and 4 the third one's. */
 static void start_capture(struct tim *tim, unsigned first, uint32_t request) {
     for (unsigned i = 0; i < 4; i++) {
-        start_ring(DMA1, first + i, request + i, &tim->CCR[i], edges_low_us[first + i], RING, 0);
+        start_ring(DMA1, first + i, request + i, &tim->CCR[i], (uint32_t)edges_low_us[first + i],
+                   RING, HALF);
     }
     tim->CCMR[0] = 0x0201;
     tim->CCMR[1] = 0x0201;
@@ -117,13 +120,22 @@ static void start_adc(struct adc *adc, uint32_t oversampling) {
 }
 
 static void start_converters(void) {
-    *ADC12_CCR = FIELD(2, 16); /* 40 MHz: 8 inputs of 256 * 15 clocks take 0.77 ms */
+    *ADC12_CCR = FIELD(2, 16); /* 40 MHz */
+    /* Transmitters are sampled for 24.5 clocks, 0.61 us: the data sheet wants 0.41 us for 1.2 kohm
+     * before the pin. 16 times 24.5 + 12.5 of them are 14.8 us an input, 0.12 ms for all. */
+    ADC1->SMPR[0] = FIELD(3, 6) | FIELD(3, 18) | FIELD(3, 21) | FIELD(3, 24) | FIELD(3, 27);
+    ADC1->SMPR[1] = FIELD(3, 3) | FIELD(3, 6) | FIELD(3, 12);
+    /* The Hall lines' levels for 92.5, 2.3 us: 1.6 us for 3.9 kohm. */
+    ADC2->SMPR[0] = FIELD(5, 12) | FIELD(5, 15);
+    ADC2->SMPR[1] = FIELD(5, 3) | FIELD(5, 21);
     ADC1->SQR[0] = 7 | FIELD(6, 6) | FIELD(7, 12) | FIELD(8, 18) | FIELD(9, 24);
     ADC1->SQR[1] = 12 | FIELD(14, 6) | FIELD(11, 12) | FIELD(2, 18);
     ADC2->SQR[0] = 3 | FIELD(4, 6) | FIELD(5, 12) | FIELD(11, 18) | FIELD(17, 24);
-    start_ring(DMA2, 0, 5, &ADC1->DR, scans_raw[0], TRANSMITTERS * HAL_SCANS, BIT(1));
-    start_ring(DMA2, 1, 36, &ADC2->DR, levels_raw, HAL_WHEELS, 0);
-    start_adc(ADC1, BIT(0) | FIELD(7, 2) | FIELD(4, 5));
+    start_ring(DMA2, 0, 5, &ADC1->DR, (uint32_t)scans_raw[0], TRANSMITTERS * HAL_SCANS,
+               HALF | COMPLETE);
+    start_ring(DMA2, 1, 36, &ADC2->DR, (uint32_t)levels_raw, HAL_WHEELS, HALF);
+    start_ring(DMA2, 2, 8, &TIM2->CNT, (uint32_t)&scanned_us, 1, WHOLE); /* as TIM6 comes round */
+    start_adc(ADC1, BIT(0) | FIELD(3, 2)); /* 16 samples added */
     start_adc(ADC2, 0);
 }
 #endif
@@ -138,10 +150,10 @@ static void start_timers(void) {
     TIM2->CR2 = FIELD(1, 4);
     TIM6->ARR = 1000 - 1; /* a scan each millisecond */
     TIM6->CR2 = FIELD(2, 4);
+    TIM6->DIER = BIT(8);
     TIM5->DIER = BIT(1) | BIT(2); /* two times at which to wake */
     TIM2->CR1 = BIT(0);
     TIM5->CR1 = BIT(0);
-    TIM6->CR1 = BIT(0);
 }
 
 static void hear(unsigned filter, uint32_t first_id, uint32_t last_id) {
@@ -170,20 +182,25 @@ static void start_can(void) {
     FDCAN1->RXGFC = BIT(0) | BIT(1) | FIELD(2, 2) | FIELD(2, 4) | FIELD(2, 24);
     hear(0, 0x0CFF4003, 0x0CFF9103); /* commands, of either profile */
     hear(1, 0x18FF1080, 0x18FF2080); /* edges and the sensors' time: teeth, a second board */
+    FDCAN1->TXBC = BIT(24); /* buffers that can be taken back */
     FDCAN1->TXBTIE = 7;
     FDCAN1->IE = BIT(0) | BIT(7) | BIT(19); /* received, sent, off the bus */
     FDCAN1->ILE = BIT(0);
     FDCAN1->CCCR &= ~BIT(0);
 }
 
-/* 2 ms by an oscillator of its own; fed within the first half millisecond, it resets as well. */
+/* 2 ms by an oscillator of its own, restarted each millisecond. With what that may be off (29.5 to 34
+ * kHz from -40 to 125 degrees) and a count that is not whole, it resets where a restart comes within
+ * 0.41 ms of the last one, and 1.76 ms behind it at the earliest. */
 static void start_watchdog(void) {
     IWDG->KR = 0xCCCC;
     IWDG->KR = 0x5555;
     IWDG->RLR = 15;
     while (IWDG->SR != 0) {
     }
-    IWDG->WINR = 12;
+    IWDG->WINR = 12; /* which restarts it, as it is taken over */
+    while (IWDG->SR != 0) {
+    }
 }
 
 static void start_interrupts(void) { /* of one priority, as they are from reset */
@@ -191,6 +208,10 @@ static void start_interrupts(void) { /* of one priority, as they are from reset 
     NVIC_ISER[1] = BIT(50 - 32) | BIT(56 - 32); /* TIM5, DMA2 channel 1 */
     SYSTICK[1] = 1000 * MHZ - 1;
     SYSTICK[2] = 0;
+    /* A scan begins in the middle between two ticks: a tick's round of the main loop is over as it
+     * has been made. */
+    TIM6->CNT = 500;
+    TIM6->CR1 = BIT(0);
     SYSTICK[0] = 7;
 }
 

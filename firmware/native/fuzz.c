@@ -1,7 +1,7 @@
 /* Random and damaged frames, edges, scans and clocks into the board of memory: fuzz COUNT [SEED].
  * Built with -fsanitize=address,undefined, which ends it at the first fault; ends with 1 where the
- * two valves of a sleeve were driven together, or anything was 101 ms after the last frame that
- * can have been a valid command. */
+ * two valves of a sleeve were driven together, anything was 101 ms after the last frame that can
+ * have been a valid command, or an image that has valves drove them too seldom to show anything. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -9,7 +9,7 @@
 #include "../frames.h"
 #include "native.h"
 
-enum { OFF_US = 101000 };
+enum { OFF_US = 101000, DRIVES_IN = 50 /* frames, or more often */ };
 
 static uint32_t state;
 
@@ -21,18 +21,73 @@ static uint32_t any(uint32_t below) /* xorshift */
     return state % below;
 }
 
+static uint32_t around_now(void) {
+    return native.sensor_us + any(110000) - 4000;
+}
+
+#if PROFILE_CLASSIC
+enum { ID_COMMAND = 0x0CFF9103, ID_TIME = 0x0CFF9003, LENGTH_COMMAND = 8, COUNTERS = 15 };
+
+static void protect(uint8_t *data, uint32_t id) { /* AUTOSAR E2E profile 1 */
+    data[0] = 0;
+    for (unsigned i = 0; i <= LENGTH_COMMAND; i++) {
+        data[0] ^= i == 0 ? (uint8_t)(id >> 8 & 0xFF) : i == 1 ? 0x4E : data[i - 1];
+        for (unsigned bit = 0; bit < 8; bit++) {
+            data[0] = (uint8_t)(data[0] << 1 ^ (data[0] >> 7) * 0x1D);
+        }
+    }
+}
+
+/* ValveOrders with the next counter, behind a ValveTime of nearly each valve. */
+static void make_command(uint8_t *data, uint8_t *counter) {
+    uint8_t time[LENGTH_COMMAND] = {0};
+    *counter = (uint8_t)((*counter + 1) % COUNTERS);
+    for (unsigned i = 0; i < HAL_VALVES; i++) {
+        uint32_t at_us = around_now();
+        time[1] = (uint8_t)(any(COUNTERS) | (uint32_t)*counter << 4);
+        time[2] = (uint8_t)(i | (at_us & 15) << 4);
+        for (unsigned byte = 0; byte < 4; byte++) {
+            time[3 + byte] = (uint8_t)(at_us >> (4 + 8 * byte) & 0xFF);
+        }
+        protect(time, ID_TIME);
+        if (any(50) != 0) {
+            native_receive(ID_TIME, time, sizeof time, 1, 0);
+        }
+    }
+    uint32_t first_us = around_now();
+    data[1] = (uint8_t)(*counter | any(16) << 4);
+    for (unsigned byte = 0; byte < 4; byte++) {
+        data[4 + byte] = (uint8_t)(first_us >> 8 * byte & 0xFF);
+    }
+    protect(data, ID_COMMAND);
+}
+#else
+enum { ID_COMMAND = ID_VALVE_COMMAND, LENGTH_COMMAND = LENGTH_VALVE_COMMAND };
+
 /* A whole command with the next counter, and times around now. */
 static void make_command(uint8_t *data, uint8_t *counter) {
-    for (unsigned i = E2E_HEADER; i < LENGTH_VALVE_COMMAND; i++) {
-        data[i] = (uint8_t)any(256);
-    }
     for (unsigned i = 0; i < HAL_VALVES; i++) {
-        uint32_t at_us = native.sensor_us + any(110000) - 4000;
+        uint32_t at_us = around_now();
         for (unsigned byte = 0; any(8) != 0 && byte < 4; byte++) {
             data[6 + 4 * i + byte] = (uint8_t)(at_us >> 8 * byte & 0xFF);
         }
     }
-    e2e_protect(data, LENGTH_VALVE_COMMAND, frames_data_id(ID_VALVE_COMMAND), ++*counter);
+    e2e_protect(data, LENGTH_COMMAND, frames_data_id(ID_COMMAND), ++*counter);
+}
+#endif
+
+/* A read of another board: its pulse, and the frame that dates it, for an image of valves alone. */
+static void send_sync(void) {
+    static uint8_t counter, data[LENGTH_GEARBOX_SENSORS];
+    uint32_t pulse_us = native.sensor_us;
+    uint32_t read_us = any(40) ? pulse_us + any(40) - 20 : any(UINT32_MAX);
+    native.edges_out[0] = native.edges_in[0]; /* a capture unit has none of the future */
+    native_capture(0, &pulse_us, any(20) != 0);
+    for (unsigned i = 0; i < 4; i++) {
+        data[3 + i] = (uint8_t)(read_us >> 8 * i & 0xFF);
+    }
+    e2e_protect(data, sizeof data, frames_data_id(ID_GEARBOX_SENSORS), ++counter);
+    native_receive(ID_GEARBOX_SENSORS, data, sizeof data, 1, 1);
 }
 
 /* A read's edge frames, for the image teeth; the others do not hear them. Most are as a rig's. */
@@ -54,21 +109,22 @@ static void send_edges(void) {
 
 /* Sends one; whether it may have been a valid command. */
 static bool send(uint8_t *counter) {
-    static const uint32_t IDS[] = {ID_VALVE_COMMAND, ID_CLUTCH_COMMAND, ID_VALVE_STATUS};
+    static const uint32_t IDS[] = {ID_COMMAND, ID_CLUTCH_COMMAND, ID_VALVE_STATUS};
     uint8_t data[64];
     unsigned kind = any(4), length = any(65), id = IDS[any(3)];
     for (unsigned i = 0; i < sizeof data; i++) {
         data[i] = (uint8_t)any(256);
     }
     if (kind != 0) {
-        id = ID_VALVE_COMMAND;
-        length = LENGTH_VALVE_COMMAND;
+        id = ID_COMMAND;
+        length = LENGTH_COMMAND;
         make_command(data, counter);
     }
     if (kind == 1) {
-        data[any(LENGTH_VALVE_COMMAND)] ^= (uint8_t)(1 + any(255));
+        data[any(LENGTH_COMMAND)] ^= (uint8_t)(1 + any(255));
     }
-    native_receive(id, data, length, any(20) != 0, any(20) != 0);
+    native_receive(id, data, length, any(20) != 0,
+                   (any(20) != 0) != PROFILE_CLASSIC);
     return kind >= 2;
 }
 
@@ -97,6 +153,9 @@ int main(int count, char **arguments) {
     state = count > 2 ? (uint32_t)strtoul(arguments[2], NULL, 10) : 1;
     native_power_on();
     for (uint32_t i = 0; i < frames; i++) {
+        if (IMAGE_VALVE && !IMAGE_SENSOR) {
+            send_sync();
+        }
         last_us = send(&counter) ? native.own_us : last_us;
         send_edges();
         stir();
@@ -109,5 +168,5 @@ int main(int count, char **arguments) {
     }
     printf("%u frames, something was driven after %u of them, %u resets\n", (unsigned)frames,
            (unsigned)driven, (unsigned)native.resets);
-    return 0;
+    return IMAGE_VALVE && driven < frames / DRIVES_IN;
 }

@@ -37,9 +37,10 @@ bool hal_wheel_is_bad(unsigned wheel) {
     return (native.bad_wheels >> wheel & 1) != 0;
 }
 
-bool hal_scans(struct hal_scan scans[HAL_SCANS]) {
+bool hal_scans(struct hal_scan scans[HAL_SCANS], uint32_t *sampled_us) {
     bool is_new = native.has_scans != 0;
     native.has_scans = 0;
+    *sampled_us = native.sensor_us;
     for (unsigned i = 0; i < HAL_SCANS; i++) {
         scans[i] = native.scans[i];
     }
@@ -50,6 +51,9 @@ void hal_send(const struct frame *frame) {
     if (native.sent_count < NATIVE_SENT) {
         native.sent[native.sent_count++] = *frame;
     }
+}
+
+void hal_keep_bus(void) { /* it has no bus: what is sent is taken at once */
 }
 
 bool hal_is_all_sent(void) {
@@ -93,7 +97,7 @@ void hal_toggle_at(unsigned wheel, uint32_t sensor_us) {
     native.is_toggle_set[wheel] = 1;
 }
 
-void hal_watchdog(void) {
+void hal_watchdog(void) { /* a tick and the round behind it are at the same time here */
     native.watchdog_us = native.own_us + HAL_WATCHDOG_US;
 }
 

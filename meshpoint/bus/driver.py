@@ -42,6 +42,7 @@ _ECHOING = {"UdpMulticastBus"}
 OpenBus = Callable[[], can.BusABC]
 OnEvent = Callable[[str], None]
 OnMessage = Callable[[can.Message], None]
+OnFrame = Callable[[Frame], None]
 
 
 async def run_node(
@@ -55,6 +56,7 @@ async def run_node(
     own_addresses: frozenset[int] = frozenset(),
     statistics: NodeStatistics | None = None,
     on_message: OnMessage | None = None,
+    on_own: OnFrame | None = None,
     records: Records | None = None,
 ) -> NodeStatistics:
     """Runs `core` until `stop` is set, then sends its last frames and closes the bus.
@@ -67,6 +69,7 @@ async def run_node(
     own_addresses: source addresses (the last byte of a 29-bit identifier) of this node. Frames
         that carry one are not handed to the core: several interfaces return one's own frames, and
         not all mark them (python-can issue 1274).
+    on_own: gets those frames.
     statistics: counted in here, so that it can be read meanwhile; also returned.
     on_message: gets every message as it came, before the core does: error frames, own ones, all.
     records: written when a step's frames are sent, and closed at the end.
@@ -80,6 +83,7 @@ async def run_node(
         own_addresses,
         statistics or NodeStatistics(),
         on_message,
+        on_own,
         records,
     )
     await node.run(stop)
@@ -97,6 +101,7 @@ class _Node:
         own_addresses: frozenset[int],
         statistics: NodeStatistics,
         on_message: OnMessage | None,
+        on_own: OnFrame | None,
         records: Records | None,
     ) -> None:
         self.statistics = statistics
@@ -107,6 +112,7 @@ class _Node:
         self._name = name
         self._own_addresses = own_addresses
         self._on_message = on_message
+        self._on_own = on_own
         self._records = records
         self._loop = asyncio.get_running_loop()
         self._bus: can.BusABC | None = None
@@ -220,6 +226,8 @@ class _Node:
                 )
         elif self._is_own(message):
             counts.own_address_frames += 1
+            if self._on_own is not None:
+                self._on_own(frame_of(message))
             if counts.own_address_frames == 1 and type(self._bus).__name__ not in _ECHOING:
                 self._say(
                     f"frame 0x{message.arbitration_id:X} on the bus has our own source address: "

@@ -3,11 +3,12 @@ run asks for one, and by nobody else on a frame's way (the contract in pyproject
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import Core
 from meshpoint.bus.records import Records
+from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 
 
@@ -48,6 +49,15 @@ def classic_rig(core: Core, sheet: GearboxSheet, *, has_board: bool = False) -> 
     from meshpoint.bus.classic.cores import ClassicRigCore
 
     return ClassicRigCore(core, sheet, has_board=has_board)
+
+
+def classic_signs() -> Mapping[int, Callable[[Frame], object]]:
+    """The frames by which a controller on such a bus is known, as `controller/only_one.py` has
+    them."""
+    from meshpoint.dbc.classic.codecs import ClassicEar
+
+    name = "ValveOrders"
+    return {ClassicEar(name).can_id: lambda frame: ClassicEar(name).hear(frame).message}
 
 
 def recorded_steps(core: Core, records: Records, run_hash: int, *, diagnosed: bool) -> Core:

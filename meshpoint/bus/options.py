@@ -15,6 +15,7 @@ import can
 import can.cli
 import can.util
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.kernel_drops import count_lost_frames
 from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
@@ -37,6 +38,8 @@ _UDP_DEFAULTS = {
     "channel": "239.74.163.2",  # python-can's own default is IPv6 and mostly delivers nothing
     "hop_limit": 0,  # frames stay on this machine
 }
+MOST_BIT_S = 20_000_000
+"""Of CAN XL; CAN FD ends at 8 Mbit/s."""
 CONFIG_LIMIT_BYTES = 1024 * 1024
 CANFD_MTU = 72
 """Of a device that is set up for CAN FD; 16 for classic CAN."""
@@ -62,6 +65,9 @@ def add_bus_arguments(parser: argparse.ArgumentParser, explained: bool = False) 
     register_interface()
     own = len(parser._actions)
     can.cli.add_bus_arguments(parser)
+    for action in parser._actions[own:]:
+        if action.dest in ("bitrate", "data_bitrate"):
+            action.type = given_numbers.whole(1, MOST_BIT_S)
     _add_config(parser)
     parser.add_argument(
         "--address",

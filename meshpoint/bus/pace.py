@@ -22,6 +22,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from time import perf_counter, sleep
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.slowness import times_slower
 from meshpoint.bus.standard_error import lasting_error
 
@@ -245,7 +246,7 @@ def main(arguments: list[str] | None = None) -> int:
     does when the process that started this one is gone, however it went."""
     parser = argparse.ArgumentParser(description="Keeps the bus time of a paced run.")
     parser.add_argument("file", type=Path)
-    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--speed", type=given_numbers.speed, default=1.0)
     chosen = parser.parse_args(arguments)
     ending, faults = threading.Event(), [""]
 

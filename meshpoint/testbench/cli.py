@@ -71,9 +71,10 @@ def _parsed(given: list[str]) -> argparse.Namespace:
 def _run(namespace: argparse.Namespace) -> int:
     """The command, and an exit code for whatever ends it."""
     from meshpoint.testbench.errors import RunError
-    from meshpoint.testbench.results.output import check_writable, complain
+    from meshpoint.testbench.results.output import check_apart, check_writable, complain
 
     try:
+        check_apart(vars(namespace))
         for target in ("json", "report", "junit", "markdown"):
             path = getattr(namespace, target, None)
             made = getattr(namespace, "out", None)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import gc
+import logging
 import struct
+import sys
 from pathlib import Path
 
+import can
 import pytest
 from log_mutations import mixed_log, silent_partial_reads
 
+from meshpoint.bus.light_can import mf4_module
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import LogWriter
@@ -192,3 +197,47 @@ def test_a_damaged_candump_line_is_no_error_and_no_remote_frame(line: str, tmp_p
     path.write_text(f"{line}\n(2.0) can0 123#11\n")
     with pytest.raises(LogError, match="line 1"):
         list(read_log(path))
+
+
+def test_of_a_damaged_mf4_its_defect_alone_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its reader would write tracebacks of its own, at once and as its remains are taken down."""
+    path = tmp_path / "damaged.mf4"
+    with mf4_module().MF4Writer(path) as writer:
+        for number in range(300):
+            message = can.Message(timestamp=1e-3 * number, arbitration_id=1, data=bytes(8))
+            writer.on_message_received(message)
+    whole, said = path.read_bytes(), list[str]()
+    monkeypatch.setattr(sys, "unraisablehook", lambda left: said.append(repr(left)))
+    monkeypatch.setattr(logging.getLogger("asammdf"), "handlers", [Said(said)])
+    data = whole.index(b"##DZ") + 60  # packed; no other place, as asammdf may crash of those
+    damaged = [whole[:length] for length in range(10, len(whole), len(whole) // 7)]
+    damaged += [b"UnFinMF " + whole[8:]]
+    damaged += [
+        whole[:at] + bytes([whole[at] ^ 8]) + whole[at + 1 :] for at in (30, data, data + 90)
+    ]
+    defects = 0
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            list(read_log(path))
+        except LogError as error:
+            defects += 1
+            assert "damaged.mf4" in str(error)
+            assert "\n" not in str(error)
+        gc.collect()
+    assert defects >= 9
+    assert said == []
+    assert capsys.readouterr() == ("", "")
+
+
+class Said(logging.Handler):
+    """Keeps what a library says."""
+
+    def __init__(self, said: list[str]) -> None:
+        super().__init__()
+        self._said = said
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._said.append(record.getMessage())

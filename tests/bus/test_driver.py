@@ -161,7 +161,11 @@ async def test_only_data_frames_of_others_reach_the_core() -> None:
     )
     bus = ScriptedBus(messages=frames * 2)
     seen: list[can.Message] = []
-    node = Run(Metronome(), lambda: bus, own_addresses=frozenset({1, 7}), on_message=seen.append)
+    own: list[Frame] = []
+    node = Run(
+        Metronome(), lambda: bus,
+        own_addresses=frozenset({1, 7}), on_message=seen.append, on_own=own.append,
+    )  # fmt: skip
     await node.until(lambda: len(seen) == 10)
     counted = await node.end()
     assert (
@@ -172,6 +176,7 @@ async def test_only_data_frames_of_others_reach_the_core() -> None:
         ]
         * 2
     )
+    assert own == [Frame(0x18FF0001, b"echo")] * 2
     assert (counted.error_frames, counted.remote_frames, counted.own_address_frames) == (2, 2, 2)
     assert counted.frames_received == 4
     reported = [event for event in node.events if "on the bus" in event]

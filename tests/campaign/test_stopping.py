@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from campaigns import campaign, small_spec
 from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.studies.campaign_statistics_run import CoverageRun
+from meshpoint.testbench.campaign.run import RunResult
+from meshpoint.testbench.campaign.runner import run_all
 from meshpoint.testbench.campaign.sequential import (
     LEAST_RUNS,
     against_known,
@@ -15,6 +22,7 @@ from meshpoint.testbench.campaign.sequential import (
     paired_estimate,
     parse_goal,
 )
+from meshpoint.testbench.campaign.spec import Job
 from meshpoint.testbench.campaign.stopping import Until
 
 
@@ -120,3 +128,45 @@ def test_a_goal_that_says_nothing_is_an_error_that_says_what_is_allowed(
 ) -> None:
     with pytest.raises(ValueError, match=said):
         parse_goal(text)
+
+
+def test_a_budget_is_held_within_a_step_and_what_was_made_is_the_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One run is always made; a second would take longer than the budget."""
+    goal = ("--until", "duration_ms ratio +-0.0001", "--budget", "0.001", "--jobs", "1")
+    found = campaign(tmp_path, "--learn", "0", *goal)
+    assert found.code == 0
+    assert found.values["runs"] == 1
+    assert len({row["seed"] for row in found.table}) == 1
+    assert found.values["until"]["stopped_by"] == "budget"
+    assert "stopped by budget" in capsys.readouterr().out
+
+
+class Worker:
+    """Takes ten seconds for each run that it is given, at once."""
+
+    now_s = 0.0
+
+    def submit(self, _work: object, _spec: object, jobs: list[Job]) -> Future[list[RunResult]]:
+        self.now_s += 10.0
+        done: Future[list[RunResult]] = Future()
+        done.set_result([RunResult(job) for job in jobs])
+        return done
+
+
+@pytest.mark.parametrize(("at_once", "most"), [(1, 10), (2, 8)])
+def test_no_run_is_begun_that_would_end_after_the_budget(at_once: int, most: int) -> None:
+    """Of 100 s, at 10 s a run; two at a time take twice as long each."""
+    worker, taken = Worker(), list[RunResult]()
+    until = Until(parse_goal("impact_j ratio +-0.001"), ("a", "b"), 100.0, lambda: worker.now_s)
+    assert next(until.looks(64)) == 32
+    jobs = [Job(seed) for seed in range(1, 33)]
+    place: Any = worker
+    made = run_all(
+        small_spec(), jobs, place, taken.extend,
+        lambda: until.may_begin(len(taken), at_once), at_once,
+    )  # fmt: skip
+    assert made
+    assert [result.job for result in taken] == jobs[:most]
+    assert until.to_json()["until"]["stopped_by"] == "budget"

@@ -12,7 +12,7 @@ from loop_bench import Loop
 from xcp_master import AIM, address_of, master, read, refusal, settings_of, verdict, write
 
 from meshpoint.controller.header import load_header, new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings import ControllerSettings, SettingsFile
 from meshpoint.controller.xcp.memory import MEASURED_ADDRESS, PAGE_ADDRESS, identity
 from meshpoint.controller.xcp.parameters import PAGE_BYTES, PARAMETERS, ROW_BYTES
 from meshpoint.controller.xcp_access import XcpAccess
@@ -20,6 +20,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.dbc.messages import ShiftResult
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.keys import groups_of
 from meshpoint.testbench.logs.consumption import Consumption
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Verification
@@ -207,6 +208,45 @@ def test_pages_are_switched_and_copied() -> None:
         one.copyCalPage(0, REFERENCE, 0, WORKING)
         assert read(one, AIM) == 18.0
         cable.pass_time(20_000)
+        assert settings_of(run) == ControllerSettings()
+
+
+def test_the_page_in_use_is_the_controller_s_whatever_the_master_looks_at() -> None:
+    with master(alone=True) as (one, run, cable):
+        one.connect()
+        write(one, AIM, 30.0)
+        one.setCalPage(CONTROLLER, 0, REFERENCE)
+        cable.pass_time(20_000)
+        assert settings_of(run).window.aim_slip_rad_s == 18.0 * RPM
+        assert read(one, AIM) == 30.0, "the master still sees the working page"
+        pages = [one.getCalPage(each, 0) for each in (CONTROLLER, MASTER)]
+        assert pages == [REFERENCE, WORKING]
+        write(one, AIM, 25.0)
+        cable.pass_time(20_000)
+        assert settings_of(run).window.aim_slip_rad_s == 18.0 * RPM
+        one.setCalPage(CONTROLLER, 0, WORKING)
+        one.setCalPage(MASTER, 0, REFERENCE)
+        cable.pass_time(20_000)
+        assert settings_of(run).window.aim_slip_rad_s == 25.0 * RPM
+        assert read(one, AIM) == 18.0
+        pages = [one.getCalPage(each, 0) for each in (CONTROLLER, MASTER)]
+        assert pages == [WORKING, REFERENCE]
+
+
+def test_no_limit_of_the_guard_is_offered_to_a_master() -> None:
+    """Nor is the tick, nor anything behind the last of the settings."""
+    groups = {group.name: group for group in groups_of(SettingsFile)}
+    guards = {key.path for key in groups["guard"].keys} | {"limits.valve_on_ms"}
+    offered = {each.name for each in PARAMETERS}
+    assert guards & {key.path for group in groups.values() for key in group.keys} == guards
+    assert offered & guards == set()
+    assert {name.partition(".")[0] for name in offered} == {
+        "window", "aim", "prices", "limits", "engine",
+    }  # fmt: skip
+    with master(alone=True) as (one, run, _):
+        one.connect()
+        one.setMta(PAGE_ADDRESS + PAGE_BYTES)
+        assert "ACCESS_DENIED" in refusal(one.download, struct.pack("<f", 1.0))
         assert settings_of(run) == ControllerSettings()
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import struct
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import asammdf
 import pytest
@@ -14,9 +16,13 @@ from xcp_master import master
 
 from meshpoint.controller.xcp.measured import (
     FIGURE_BYTES,
+    MEASURED_BYTES,
     MESSAGE_BYTES,
     MESSAGES,
     SENT_BYTES,
+    SLEEVES,
+    MeasuredMemory,
+    StepFacts,
 )
 from meshpoint.controller.xcp.memory import MEASURED_ADDRESS
 from meshpoint.dbc.specs import SignalSpec
@@ -118,3 +124,45 @@ def test_sleeve_guard_and_learned_figures_are_measured() -> None:
         assert math.isnan(values["learned.sleeves.crawl.delay_ms"])
         assert abs(values["sleeve.first_second_mm"]) < 13.0
         assert values["guard.row"] == 0.0
+
+
+def place_of(name: str) -> int:
+    """Where a figure stands behind the messages, in bytes."""
+    return SENT_BYTES + FIGURE_BYTES * [each for each, _, _ in figures()].index(name)
+
+
+def test_of_the_learned_figures_only_what_is_read_is_worked_out() -> None:
+    """Each step, as a list that is measured asks for it; all of them take 1.1 ms."""
+    asked: list[str] = []
+
+    class Learned:
+        def __getattr__(self, group: str) -> Any:
+            asked.append(group)
+            return SimpleNamespace(gain=1.25, drag_nm=-3.0)
+
+    memory = MeasuredMemory()
+    memory.take([], StepFacts((0.001,) * len(SLEEVES), 7, Learned))
+    assert struct.unpack("<f", memory.read(place_of("guard.row"), 4)) == (7.0,)
+    assert asked == []
+    assert struct.unpack("<f", memory.read(place_of("learned.brake.gain"), 4)) == (1.25,)
+    assert asked == ["brake"]
+
+
+def test_any_part_of_the_bytes_is_that_of_the_whole() -> None:
+    with master(shifts=1, requests=[]) as (one, loop, cable):
+        one.connect()
+        cable.until(lambda: bool(loop.outcomes), 20_000_000)
+        cable.pass_time(100_000)
+        one.setMta(MEASURED_ADDRESS)
+        whole = one.fetch(MEASURED_BYTES)
+        for start, length in (
+            (0, 5),
+            (SENT_BYTES - 3, 9),
+            (SENT_BYTES + 2, 7),
+            (MEASURED_BYTES - 5, 5),
+        ):
+            one.setMta(MEASURED_ADDRESS + start)
+            part = one.fetch(length)
+            if start >= SENT_BYTES:  # the messages are those of a later step
+                assert part == whole[start : start + length]
+            assert len(part) == length

@@ -207,11 +207,41 @@ def test_a_sleeve_before_the_teeth_comes_back_by_a_pulse_at_any_slip(
 def test_pulses_in_a_row_count_as_one_until_the_sleeve_is_seen_to_stand() -> None:
     guard = standing(3.0)
     assert row(guard, at(110, 3.0), {FIRST: (ON_AT, 112)}) is None
-    assert row(guard, at(120, 3.0), {FIRST: (OFF_AT, 124)}) is None
+    assert row(guard, at(120, 3.0), {FIRST: (OFF_AT, 122)}) is None
     assert row(guard, at(130, 3.0)) is None
     assert row(guard, at(140, 3.0), {FIRST: (ON_AT, 142)}) == 3
     assert row(guard, at(155, 2.0, late_ms=7.9)) is None  # sampled 17 ms after it is off
     assert row(guard, at(156, 2.0), {FIRST: (ON_AT, 158)}) is None
+
+
+def push(guard: Guard, from_ms: float, lasts_ms: float, way_mm: float) -> int | None:
+    """The row that forbids a push of a standing sleeve to neutral, by first's valve, once its end
+    is commanded; if none does, it stays where it is."""
+    assert row(guard, at(from_ms - 2.0, way_mm), {FIRST: (ON_AT, from_ms)}) is None
+    found = row(guard, at(from_ms + 4.0, way_mm), {FIRST: (OFF_AT, from_ms + lasts_ms)})
+    for later_ms in (1.0, 60.0):
+        assert row(guard, at(from_ms + lasts_ms + later_ms, way_mm)) is None
+    return found
+
+
+@pytest.mark.parametrize(("way_mm", "most_ms"), [(3.0, 11.02), (1.6, 9.955), (4.7, 12.15)])
+def test_a_standing_sleeve_is_pushed_to_neutral_no_longer_than_stops_short_by_a_late_valve(
+    way_mm: float, most_ms: float
+) -> None:
+    """14 ms times the third root of the way that ends 0.5 mm before the opposite teeth over 5 mm,
+    less the 5 ms by which a valve may make a pulse longer. At any slip of the opposite gear."""
+    assert push(standing(way_mm), 110.0, most_ms, way_mm) is None
+    assert push(standing(way_mm), 110.0, most_ms + 0.01, way_mm) == 3
+
+
+def test_what_a_push_has_not_done_it_may_try_again_by_4_ms_more_from_no_nearer_neutral() -> None:
+    assert push(standing(4.0), 110.0, 11.5, 4.0) is None
+    guard = standing(4.0)
+    assert push(guard, 110.0, 11.5, 4.0) is None
+    assert push(guard, 210.0, 15.4, 4.2) is None
+    guard = standing(4.0)
+    assert push(guard, 110.0, 11.5, 4.0) is None
+    assert push(guard, 210.0, 12.0, 3.9) == 3
 
 
 # -- pulled out of a gear --------------------------------------------------------------------

@@ -53,7 +53,7 @@ def test_row_20_the_way_back_is_free_and_ends_it() -> None:
     guard = standing(3.0)
     assert row(guard, at(700, 3.0), {SECOND: (ON_AT, 705)}) == 20
     assert row(guard, at(710, 3.0), {FIRST: (ON_AT, 712)}) is None
-    assert row(guard, at(720, 3.0), {FIRST: (OFF_AT, 724)}) is None
+    assert row(guard, at(720, 3.0), {FIRST: (OFF_AT, 722)}) is None
     assert row(guard, at(730, 1.5, -0.2), {SECOND: (ON_AT, 732)}) is None  # braked
     assert row(guard, at(740, 0.5, -0.1), {SECOND: (OFF_AT, 744)}) is None
     assert row(guard, at(800, 0.0)) is None
@@ -107,8 +107,8 @@ def unasked() -> Guard:
 def test_row_17_a_sleeve_found_before_the_teeth_is_brought_back_unasked(way_mm: float) -> None:
     guard = unasked()
     assert row(guard, at(30, way_mm), {FIRST: (ON_AT, 32)}) is None
-    assert row(guard, at(40, way_mm), {FIRST: (OFF_AT, 44)}) is None
-    assert row(guard, at(50, way_mm, -0.2), {SECOND: (ON_AT, 54)}) is None
+    assert row(guard, at(40, way_mm), {FIRST: (OFF_AT, 41)}) is None
+    assert row(guard, at(50, way_mm, -0.2), {SECOND: (ON_AT, 56)}) is None
     assert row(guard, at(60, 0.5, -0.1), {SECOND: (OFF_AT, 64)}) is None
 
 

@@ -196,6 +196,47 @@ def test_a_wheel_that_reads_right_again_is_believed_after_a_second_not_sooner(
     assert box.run(5_000) == ()
 
 
+@pytest.mark.parametrize("for_ms", [60, 300, 1_000])
+@pytest.mark.parametrize("factor", [2.0, 0.5, 0.8])
+@pytest.mark.parametrize("wheel", SHAFTS)
+def test_a_wheel_that_was_wrong_for_a_moment_brings_no_other_into_doubt(
+    wheel: int, factor: float, for_ms: int
+) -> None:
+    """Its neighbours agree with it again one after the other: the one that is last, behind a slow
+    wheel, has not gone wrong meanwhile."""
+    box = Gearbox()
+    box.run(1_000)
+    box.factors[wheel] = factor
+    box.run(for_ms)
+    box.factors[wheel] = 1.0
+    found = {box.step() for _ in range(500)}
+    assert all(not doubt or wheel in doubt for doubt in found), found
+    assert box.watch.in_doubt == ()
+
+
+@pytest.mark.parametrize("wheel", SHAFTS)
+def test_what_was_wrong_in_neutral_is_not_put_on_a_neighbour_in_gear(wheel: int) -> None:
+    """Of the pair that was in doubt one agrees as the gear comes in; so it may have been wrong all
+    the same, as long as the other says nothing new against it."""
+    box = Gearbox(positions_m=NEUTRAL)
+    box.run(1_000)
+    box.factors[wheel] = 0.8
+    box.until_found()
+    both = box.watch.in_doubt
+    box.factors[wheel], box.positions_m = 1.0, SECOND_HIGH_LOW
+    assert {box.step() for _ in range(500)} == {both, ()}
+
+
+@pytest.mark.parametrize("wheel", SHAFTS)
+def test_one_that_stays_wrong_from_neutral_on_is_named_in_gear(wheel: int) -> None:
+    box = Gearbox(positions_m=NEUTRAL)
+    box.run(1_000)
+    box.factors[wheel] = 0.8
+    box.until_found()
+    box.positions_m = SECOND_HIGH_LOW
+    assert box.run(2_000) == (wheel,)
+
+
 @pytest.mark.parametrize("wheel", [INPUT, LAYSHAFT])
 def test_a_wheel_that_goes_wrong_again_within_the_second_stays_in_doubt(wheel: int) -> None:
     box = Gearbox()

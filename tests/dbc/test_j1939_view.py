@@ -55,6 +55,16 @@ def test_every_signal_of_the_standard_has_its_spn_in_both_files() -> None:
             assert SPNS.get(signal.name, signal.spn) == signal.spn
 
 
+@pytest.mark.parametrize("path", [J1939_DBC, TRUCK_DBC, DBC_PATH], ids=lambda path: path.name)
+def test_canmatrix_too_takes_every_message_of_the_standard_for_one_of_j1939(path: Path) -> None:
+    names = {each.name for each in STANDARD}
+    found = [
+        frame for frame in canmatrix.formats.loadp_flat(str(path)).frames if frame.name in names
+    ]
+    assert found
+    assert [frame.name for frame in found if not frame.is_j1939] == []
+
+
 @pytest.mark.parametrize("spec", STANDARD, ids=[spec.name for spec in STANDARD])
 @given(source=st.integers(0, 253), priority=st.integers(0, 7), data=st.data())
 def test_a_frame_is_found_by_its_pgn_alone(

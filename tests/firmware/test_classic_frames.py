@@ -129,7 +129,7 @@ def test_a_read_with_its_edges_speeds_and_slow_sensors(
         reads = [drawn_read(rng, read_us, before) for before in reads]
         supply, oil = int(rng.integers(1 << 16)), int(rng.integers(4_000, 30_001))
         scan = CScan((0,) * 4, 0, supply, oil, 0, 0)
-        board.code.frames_send_reads((CEdgeRead * 8)(*reads), ctypes.byref(scan))
+        board.code.frames_send_reads((CEdgeRead * 8)(*reads), read_us, ctypes.byref(scan))
         lay, main_shaft = reads[LAYSHAFT], reads[MAIN]
         of = [edges(wire, name, wheels[name], read)
               for name, read in (("EdgesLayshaft", lay), ("EdgesMain", main_shaft))]  # fmt: skip
@@ -161,7 +161,7 @@ def test_state_and_sleeves(board: NativeBoard, rng: np.random.Generator) -> None
                                for row in positions))  # fmt: skip
         energised, pending, refused, expired = map(int, rng.integers(512, size=4))
         report = CReport(int(rng.integers(1 << 32)), energised, pending, refused, expired)
-        board.code.frames_send_reads((CEdgeRead * 8)(), scans)
+        board.code.frames_send_reads((CEdgeRead * 8)(), 0, scans)
         board.take_sent()
         board.code.frames_send_valves(ctypes.byref(report))
         board.code.frames_send_sleeves(0, scans, faults)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.firmware.build import (
+    BOTH_IMAGES,
     IMAGES,
     compiled,
     source_folder,
@@ -18,14 +19,18 @@ from meshpoint.testbench.firmware.build import (
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
-@pytest.fixture(scope="module", params=["both", "teeth"])
+CLASSIC = (*BOTH_IMAGES, "-DPROFILE_CLASSIC=1", "-DTEETH_INPUT=40", "-DTEETH_PROPELLER=42")
+OPTIONS = {**IMAGES, "classic": CLASSIC}
+
+
+@pytest.fixture(scope="module", params=OPTIONS)
 def fuzzer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("cc") is None:
         pytest.skip("no cc here: the compiler of meshpoint[firmware] has no address sanitizer")
     path = tmp_path_factory.mktemp("fuzz") / "fuzz"
     folder = source_folder()
     compiled(
-        [*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED, IMAGES[request.param]
+        [*sources(folder), folder / "native" / "fuzz.c"], path, SANITIZED, OPTIONS[request.param]
     )
     return path
 

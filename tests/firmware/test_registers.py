@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 import pytest
 
@@ -77,6 +78,7 @@ def bench() -> Bench:
         (IN_SETUP, (FDCAN + 0x18, 0), "FDCAN1.NBTP: 1500000 bit/s, sampled at 75 %; this bus has"),
         ((*CLOCKS, (FDCAN + 0x18, 1)), (FDCAN + 0x18, 0x101), "bits 0x0100 are changed without"),
         (CLOCKS, (FDCAN + 0xCC, 2), "FDCAN1.TXBAR: buffer 1 is requested; next is 0"),
+        (CLOCKS, (FDCAN + 0xD0, 1), "FDCAN1.TXBCR: is written while TXBC.TFQM is 0"),
         (CLOCKS, (FDCAN + 0x94, 0), "FDCAN1.RXF0A: element 0 is given back, of 0 from 0 on"),
         ((*CLOCKS, (DMA1 + 0xC, 8), (DMA1 + 8, 0x81)), (DMA1 + 0xC, 9),
          "DMA1.CNDTR1: is written while CCR1.EN is 1"),
@@ -194,6 +196,27 @@ def test_filters_let_in_what_they_name(bench: Bench) -> None:
     for frame in (FRAME, FRAME._replace(can_id=1), Frame(1, b"", is_extended=False)):
         bench.chip.fdcan.receive(frame)
     assert bench.read(FDCAN + 0x90) & 0xF == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "let_in"), [(0, range(0x100, 0x104)), (1, (0x100, 0x103)), (2, range(0x100, 0x104))]
+)
+def test_a_filter_s_first_and_last_identifier_belong_to_it(
+    kind: int, let_in: Iterable[int], bench: Bench
+) -> None:
+    """A range, two identifiers, or one with a mask."""
+    second = 0x1FFF_FFFC if kind == 2 else 0x103
+    bench.memory[0x4000_A400 + 0x70] = (1 << 29 | 0x100).to_bytes(4, "little") + (
+        kind << 30 | second
+    ).to_bytes(4, "little")
+    bench.write(*ON_THE_BUS[:-1], (FDCAN + 0x80, 1 << 24 | 3 << 4 | 3 << 2), ON_THE_BUS[-1])
+    found = []
+    for can_id in range(0xFE, 0x107):
+        bench.chip.fdcan.receive(FRAME._replace(can_id=can_id))
+        if bench.read(FDCAN + 0x90) & 0xF:
+            found.append(can_id)
+            bench.write((FDCAN + 0x94, bench.read(FDCAN + 0x90) >> 8 & 3))
+    assert found == list(let_in)
 
 
 def test_bus_off_is_left_after_129_times_11_bits(bench: Bench) -> None:

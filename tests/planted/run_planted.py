@@ -21,9 +21,10 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent
 COPIED = (
-    "benchmarks", "controller", "dbc", "rig_sim", "meshpoint", "tests", "docs", "pyproject.toml",
+    "benchmarks", "controller", "dbc", "firmware", "rig_sim", "meshpoint", "tests", "docs",
+    "pyproject.toml",
 )  # fmt: skip
-BESIDE = ("controller", "dbc", "rig_sim")
+BESIDE = ("controller", "dbc", "firmware", "rig_sim")
 LONGEST_S = 900.0
 IMPORTS_FROM_THE_COPY = """\
 import sys

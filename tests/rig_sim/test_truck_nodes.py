@@ -280,3 +280,24 @@ def test_the_same_seed_says_the_same_and_another_one_does_not() -> None:
     )
     assert first == again
     assert first != other
+
+
+def test_the_tachograph_says_that_it_moves_after_five_seconds_and_that_it_stands_in_one() -> None:
+    """(EU) 2016/799: more than an impulse a second, for five seconds."""
+    shaft = output_shaft.OutputShaft(np.random.default_rng(1))
+    crawl_rad_s = 0.5 * math.tau / output_shaft.IMPULSES
+    moves = {}
+    for time_us in range(0, 30_000_000, READ_US):
+        turning_rad_s = 40.0 if 1e6 < time_us <= 9e6 else crawl_rad_s if time_us > 15e6 else 0.0
+        shaft.turn(time_us, turning_rad_s, None)
+        if time_us % output_shaft.TACHOGRAPH_US == 0 and time_us:
+            moves[time_us * 1e-6] = shaft.tco1(time_us).get("vehicle_motion")
+    begun_s = min(time_s for time_s, moving in moves.items() if time_s > 1.0 and moving)
+    ended_s = min(time_s for time_s, moving in moves.items() if time_s > 9.0 and not moving)
+    assert begun_s == pytest.approx(6.0, abs=0.2)
+    assert 9.0 < ended_s < 10.3
+    assert not any(moving for time_s, moving in moves.items() if time_s > ended_s)
+
+
+def test_a_truck_that_drives_says_so_on_the_bus(even: dict[str, list[Said]]) -> None:
+    assert {each.values["VehicleMotion"] for each in even["TCO1"][2:]} == {1}

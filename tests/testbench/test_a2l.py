@@ -39,7 +39,7 @@ def test_another_tool_finds_no_fault_in_it(tmp_path: Path) -> None:
 
 def test_the_tool_does_find_faults(tmp_path: Path) -> None:
     path = tmp_path / "controller.a2l"
-    path.write_text(TEXT.replace("RECORD_LAYOUT whole", "RECORD_LAYOUT other"), "utf-8")
+    path.write_text(TEXT.replace("RECORD_LAYOUT whole_value", "RECORD_LAYOUT other"), "utf-8")
     done = subprocess.run(
         [CHECKER, "--check", "--strict", path], capture_output=True, text=True, check=False
     )
@@ -70,7 +70,7 @@ def test_a_setting_has_its_limits_its_unit_and_its_address() -> None:
     aim = block_of("CHARACTERISTIC", "window.aim_slip_rpm")
     (row,) = (i for i, each in enumerate(PARAMETERS) if each.name == "window.aim_slip_rpm")
     address = f"0x{PAGE_ADDRESS + ROW_BYTES * row:08X}"
-    conversion = re.search(rf"VALUE {address} float 0 (\w+) 1 200", aim)
+    conversion = re.search(rf"VALUE {address} single_value 0 (\w+) 1 200", aim)
     assert conversion is not None, aim
     assert '"rpm"' in block_of("COMPU_METHOD", conversion[1])
     assert "target_phase releases the brake" in aim
@@ -119,3 +119,9 @@ def test_a_folder_that_is_not_there_is_named(
 ) -> None:
     assert main(["a2l", "-o", str(tmp_path / "no" / "x.a2l")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_no_name_is_a_word_that_readers_keep_for_types() -> None:
+    """pya2l reads a record layout's name `float` as a type."""
+    names = re.findall(r"/begin (?:RECORD_LAYOUT|COMPU_METHOD|COMPU_VTAB|GROUP) (\S+)", TEXT)
+    assert not {name.lower() for name in names} & {"float", "double", "int", "long", "char", "uint"}

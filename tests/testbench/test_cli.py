@@ -13,7 +13,7 @@ import pytest
 
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.command_line.parsing import EXAMPLES, subparsers
-from meshpoint.testbench.results.output import check_writable
+from meshpoint.testbench.results.output import check_apart, check_writable
 from meshpoint.testbench.table import COMMANDS, MOVED, build_parser, front_parser
 
 
@@ -279,3 +279,91 @@ def test_a_command_of_old_says_where_it_has_gone(
     if program == "meshpoint":
         parser = PARSERS.get(" ".join(now[:2]), PARSERS[now[0]])
         assert all(word in parser.format_help() for word in now if word.startswith("-"))
+
+
+def numbers_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    """The arguments that are made from their words: all but texts and paths."""
+    return [action for action in parser._actions if action.type not in (None, str, Path)]
+
+
+MAY_BE_NEGATIVE = ("--threshold",)
+"""A voltage."""
+LISTS = {"--sweep": "window.aim_slip_rpm={}", "--tolerance": "slip_rpm={}"}
+"""How an argument names its number, where it is not alone."""
+
+
+@pytest.mark.parametrize("word", ["nan", "inf", "-inf", "1e999", "-1"])
+def test_no_command_takes_a_number_that_is_none(word: str) -> None:
+    looked_at = 0
+    for name, parser in PARSERS.items():
+        for action in numbers_of(parser):
+            option = action.option_strings[-1] if action.option_strings else action.dest
+            if word == "-1" and option in (*MAY_BE_NEGATIVE, "--sweep"):
+                continue
+            given = LISTS.get(option, "{}").format(word)
+            looked_at += 1
+            with pytest.raises(argparse.ArgumentTypeError, match="allowed"):
+                pytest.fail(f"{name} {option} {given}: taken as {action.type(given)}")
+    assert looked_at > 60
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "request 10 --timeout nan",
+        "request 10 --timeout=-1",
+        "check --seconds nan",
+        "check --seconds 0",
+        "check --turn --turn-seconds inf",
+        "watch --for nan",
+        "watch --speed=-1",
+        "campaign --until x --budget nan",
+        "rig --main-speed 1e9",
+        "convert --live 70000",
+        "rig --bitrate=-500000",
+        "captures wheel.csv --threshold nan",
+        "simulate --bus-load nan",
+    ],
+)
+def test_a_number_out_of_range_is_refused_before_anything_is_opened(
+    capsys: pytest.CaptureFixture[str], arguments: str
+) -> None:
+    assert "allowed" in refusal(capsys, *arguments.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("simulate --log x --json x", ("--log", "--json")),
+        ("simulate --log x.log --json ./x.log", ("--log", "--json")),
+        ("simulate --report x --junit x", ("--report", "--junit")),
+        ("simulate --junit x --markdown sub/../x", ("--junit", "--markdown")),
+        ("simulate --settings own.toml --json own.toml", ("--settings", "--json")),
+        ("up --log x --calibration x", ("--log", "--calibration")),
+        ("replay own.toml --json own.toml", ("LOG", "--json")),
+        ("identify own.toml --json linked.toml", ("LOG", "--json")),
+        ("identify a.log -o b.toml --json b.toml", ("--output", "--json")),
+        ("campaign --junit x --markdown x", ("--junit", "--markdown")),
+        ("commission --out x --json x", ("--out", "--json")),
+    ],
+)
+def test_two_outputs_are_two_files_and_none_is_one_that_is_read(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: str,
+    named: tuple[str, str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "own.toml").write_text("")
+    (tmp_path / "linked.toml").hardlink_to(tmp_path / "own.toml")
+    assert f"{named[0]} and {named[1]} name one file" in refusal(capsys, *arguments.split())
+    assert (tmp_path / "own.toml").read_text() == ""
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_outputs_that_nobody_keeps_may_be_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["show", "gearbox", "--json", "/dev/null"]) == 0
+    check_apart({"log": "/dev/null", "json": "/dev/null", "report": Path("/dev/null")})
+    check_apart({"out": Path("here"), "log": "here/", "json": "-"})

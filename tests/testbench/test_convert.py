@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import socket
 import sys
-import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,11 +16,6 @@ import mcap.reader
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from websockets.sync.client import connect
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from live_command import live
 
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.dbc.layout import CODECS
@@ -37,6 +28,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.convert.sample_clock import LiveTies
 from meshpoint.testbench.convert.series import TOPICS, TimeSeries
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "viewers"
@@ -139,7 +131,7 @@ def test_the_last_instant_is_compared_too(log: Path, rows: Rows) -> None:
 
 def test_edges_from_before_a_standstill_are_not_placed() -> None:
     """An interval beyond 65 ms has no room in 16 bits: only the newest edge is known then."""
-    node, series = Transmitter(Node.GEARBOX_IO), TimeSeries()
+    node, series = Transmitter(Node.GEARBOX_IO), TimeSeries(LiveTies())
     found = []
     for k, is_long in enumerate((False, True)):
         lows = tuple((10_000 * k + 9_000 - 1_000 * j) & 0xFFFF for j in range(27))
@@ -213,7 +205,7 @@ def test_a_log_is_not_written_over_by_its_own_series(
     target.hardlink_to(log)
     before = log.read_bytes()
     assert main(["convert", str(log), "-o", str(target)]) == 2
-    assert "x.mcap: is the log itself" in capsys.readouterr().err
+    assert "LOG and --output name one file" in capsys.readouterr().err
     assert log.read_bytes() == before
 
 
@@ -238,7 +230,11 @@ def test_a_log_of_another_bus_leaves_no_file(
         (["-o", "x.mcap"], "-o without LOG"),
         (["missing.log", "-o", "x.mcap"], "missing.log"),
         (["{log}", "--live"], "--live with LOG"),
-        (["--live", "70000"], "--live 70000: allowed are 1 to 65535"),
+        (
+            ["--live", "8765", "--origin", "https://a.example/"],
+            "--origin https://a.example/: allow",
+        ),
+        (["{log}", "-o", "x.mcap", "--origin", "https://a.example"], "--origin without --live"),
     ],
 )
 def test_bad_input_is_named_and_leaves_no_file(
@@ -267,31 +263,6 @@ def test_an_extra_that_is_not_installed_is_named(
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["convert", str(log), "-o", str(tmp_path / f"x.{ending}")]) == 2
     assert f"pip install 'meshpoint[{ending}]'" in capsys.readouterr().err
-
-
-@pytest.fixture
-def channel() -> Iterator[str]:
-    with tempfile.TemporaryDirectory(prefix="mpb-") as folder:
-        yield f"unix:{folder}/bus.sock"
-
-
-def test_a_bus_is_served_to_viewers_on_this_machine(tmp_path: Path, channel: str) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    with (
-        live(tmp_path, "rig", "-c", channel),
-        live(tmp_path, "convert", "--live", str(port), "-c", channel) as view,
-    ):
-        view.until_said(f"ws://127.0.0.1:{port}")
-        with connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as viewer:
-            topics: set[str] = set()
-            while "/SleevesMain" not in topics:
-                said = viewer.recv(timeout=60)
-                if isinstance(said, str) and json.loads(said)["op"] == "advertise":
-                    topics |= {each["topic"] for each in json.loads(said)["channels"]}
-        view.signal(signal.SIGINT)
-        assert view.end() == 0
 
 
 def test_the_layouts_show_what_a_file_has(rows: Rows) -> None:

@@ -18,6 +18,7 @@ FOLDERS = ("controller", "dbc", "meshpoint", "rig_sim")
 INSTALLS = {"autosar_e2e": "autosar-e2e", "e2e": "autosar-e2e", "can": "python-can"}
 """Where a package is imported by another name than it is installed by."""
 OPTIONAL = {"dask": "distributed", "cryptography": "cryptography", "foxglove": "foxglove-sdk",
+            "websockets": "websockets",
             "pythonfmu3": "pythonfmu3", "unicorn": "unicorn", "ziglang": "ziglang"}  # fmt: skip
 """Used by `campaign --dask`, `--keys`, `convert`, `fmu` and `--firmware` alone, which name their
 extras."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,7 +60,11 @@ class Unit:
         for name, value in parameters.items():
             self.put(name, value)
         self.slave.enterInitializationMode()
+
+    def begin(self) -> Unit:
+        """The parameters are as they are to be."""
         self.slave.exitInitializationMode()
+        return self
 
     def put(self, name: str, value: Any) -> None:
         of = self._variables[name]
@@ -74,9 +80,11 @@ class Unit:
         )
 
     def end(self) -> None:
-        """Its library stays loaded: unloaded, it may abort this Python at its end (docs/fmu.md)."""
         self.slave.terminate()
-        self.slave.fmi3FreeInstance(self.slave.component)
+        self.free()
+
+    def free(self) -> None:
+        self.slave.freeInstance()
         shutil.rmtree(self.folder)
 
 
@@ -89,7 +97,7 @@ def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def unit(fmu: Path) -> Iterator[Unit]:
-    unit = Unit(fmu, seed=SEED, profile="clean")
+    unit = Unit(fmu, seed=SEED, profile="clean").begin()
     yield unit
     unit.end()
 
@@ -177,7 +185,7 @@ def test_uphill_the_vehicle_slows_more_without_torque(fmu: Path) -> None:
     """By g times the slope, less what the turning parts carry on."""
     lost_m_s = []
     for added_percent in (0.0, 5.0):
-        unit = Unit(fmu, seed=SEED)
+        unit = Unit(fmu, seed=SEED).begin()
         unit.put("slope_added_percent", added_percent)
         unit.put("clutch_closed", False)
         unit.step(0)
@@ -193,14 +201,88 @@ def test_uphill_the_vehicle_slows_more_without_torque(fmu: Path) -> None:
     "parameters",
     [{"profile": "rough"}, {"gearbox": "nowhere.toml"}, {"start_gear": 15}, {"seed": -1}],
 )
-def test_with_a_parameter_that_cannot_be_used_there_is_no_step(
+def test_a_parameter_that_cannot_be_used_ends_the_initialization(
     fmu: Path, parameters: dict[str, Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     unit = Unit(fmu, **parameters)
     with pytest.raises(FMICallException):
-        unit.step(0)
-    unit.end()
+        unit.begin()
+    unit.free()
+    gc.collect()  # what the wrapper has released twice is whole
     assert f"{next(iter(parameters))}: " in capfd.readouterr().out
+    Unit(fmu, profile="clean").begin().end()
+
+
+def test_time_is_that_of_the_last_step_s_end(unit: Unit) -> None:
+    assert unit.get("time") == 0.0
+    unit.step(0)
+    unit.step(1)
+    assert unit.get("time") == pytest.approx(0.02)
+
+
+def test_every_real_variable_has_a_unit_in_si(fmu: Path) -> None:
+    about = read_model_description(fmu)
+    units = {each.name: each.unit for each in about.modelVariables if each.type == "Float64"}
+    assert units["time"] == "s"
+    assert units["layshaft_speed_rad_s"] == "rad/s"
+    assert units["range_m"] == "m"
+    assert units["road_speed_m_s"] == "m/s"
+    assert units["contact_time_s"] == "s"
+    assert None not in units.values()
+    (rpm,) = (each for each in about.unitDefinitions if each.name == "rpm")
+    assert rpm.baseUnit.factor == pytest.approx(2 * math.pi / 60)
+    assert (rpm.baseUnit.rad, rpm.baseUnit.s) == (1, -1)
+
+
+def test_steps_may_differ_in_size_and_the_unit_says_so(fmu: Path, unit: Unit) -> None:
+    about = read_model_description(fmu)
+    assert about.coSimulation.canHandleVariableCommunicationStepSize
+    time_s = 0.0
+    for step_s in (0.01, 0.0005, 0.05, 0.003):
+        unit.slave.doStep(currentCommunicationPoint=time_s, communicationStepSize=step_s)
+        time_s += step_s
+    assert unit.get("time") == pytest.approx(time_s)
+
+
+ENDS = """
+import sys
+from pathlib import Path
+from fmpy import extract, read_model_description
+from fmpy.fmi3 import FMU3Slave
+
+def heard(event, given):
+    if event == "ctypes.dlsym" and given[1] == "finalizePythonInterpreter":
+        print("releases", Path(given[0]._name).name, flush=True)
+
+sys.addaudithook(heard)
+path = sys.argv[1]
+about, folder = read_model_description(path), extract(path)
+for name in ("one", "two"):
+    slave = FMU3Slave(
+        instanceName=name, guid=about.instantiationToken, unzipDirectory=folder,
+        modelIdentifier=about.coSimulation.modelIdentifier,
+    )
+    slave.instantiate()
+    slave.freeInstance()
+print("at the end:", flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the wrapper of Windows has no such end")
+def test_the_wrapper_releases_its_state_before_the_process_ends(fmu: Path) -> None:
+    """After it, it would count down in memory that is free: `fmpy simulate` aborted."""
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS, str(fmu)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["at the end:", "releases GearboxRig.so"]
+
+
+@pytest.mark.long
+def test_fmpy_simulates_it_and_ends_well(fmu: Path) -> None:
+    """Three runs of five aborted with 134."""
+    command = [Path(sys.executable).with_name("fmpy"), "simulate", fmu]
+    assert [subprocess.run(command, check=False).returncode for _ in range(5)] == [0] * 5
 
 
 @pytest.mark.parametrize(

@@ -331,3 +331,17 @@ def test_a_log_that_is_missing_is_an_error_and_nothing_else(
     said = capsys.readouterr()
     assert said.out == ""
     assert "none.log: cannot be read" in said.err
+
+
+@pytest.mark.parametrize("command", ["watch", "tell"])
+@pytest.mark.parametrize("name", ["bus.log", "bus", "nowhere.log"])
+def test_of_what_cannot_be_read_at_all_nothing_but_that_is_said(
+    command: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for pipe in ("bus.log", "bus"):
+        os.mkfifo(tmp_path / pipe)
+    assert main([command, str(tmp_path / name)]) == 2
+    out, err = capsys.readouterr()
+    (line,) = err.splitlines()
+    assert not out
+    assert line.startswith(f"meshpoint {command}: error: {tmp_path / name}: ")

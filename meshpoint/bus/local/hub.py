@@ -19,6 +19,7 @@ import sys
 import time
 from typing import cast
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.local import wire
 from meshpoint.bus.local.channel import SYNTAX, ChannelError, HubChannel, hub_log, parse_channel
 from meshpoint.bus.local.dial import NoHubError, dial
@@ -222,7 +223,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("channel", metavar="CHANNEL", help=SYNTAX)
     parser.add_argument(
         "--linger",
-        type=float,
+        type=given_numbers.seconds,
         default=DEFAULT_LINGER_S,
         metavar="SECONDS",
         help="end after so long without nodes (default %(default)s)",

@@ -8,7 +8,7 @@ from typing import Any
 
 from meshpoint.controller.xcp.memory import identity
 from meshpoint.testbench.a2l.module import a2l
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import tell
 from meshpoint.testbench.version import product_version
@@ -39,6 +39,6 @@ def run(namespace: argparse.Namespace) -> int:
     try:
         path.write_text(a2l(version), encoding="utf-8", newline="\n")
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
     tell(f"{path}: fits {identity(version)}, as the controller names itself")
     return Exit.DONE

@@ -69,8 +69,8 @@ def a2l(version: str) -> str:
         *block("MOD_COMMON", '""', ["BYTE_ORDER MSB_LAST", "ALIGNMENT_FLOAT32_IEEE 4"]),
         *xcp_on_can(),
         *_conversions(conversions),
-        *_layout("float", "FLOAT32_IEEE"),
-        *_layout("whole", "ULONG"),
+        *_layout("single_value", "FLOAT32_IEEE"),
+        *_layout("whole_value", "ULONG"),
         *objects,
         *_groups(),
     ]
@@ -118,7 +118,11 @@ def _parameters(known: dict[Conversion, str]) -> Iterator[str]:
     for row, each in enumerate(PARAMETERS):
         conversion = _conversion(known, Conversion(unit_of(each.rule.key)))
         address = hexadecimal(PAGE_ADDRESS + ROW_BYTES * row)
-        layout, low, high = "whole" if each.is_whole else "float", each.rule.low, each.rule.high
+        layout, low, high = (
+            "whole_value" if each.is_whole else "single_value",
+            each.rule.low,
+            each.rule.high,
+        )
         yield from block(
             "CHARACTERISTIC",
             f"{each.name} {quoted(meanings[each.name])}",

@@ -11,6 +11,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from meshpoint.bus import given_numbers
 from meshpoint.controller.planning.strategies.table import make_strategy
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.controller.strategy_file import FORM, StrategyFile
@@ -65,22 +66,22 @@ def add_parser(commands: Any) -> None:
         description=DESCRIPTION,
     )
     parser.add_argument(
-        "--runs", type=arguments.whole(1, MOST_RUNS), metavar="N",
+        "--runs", type=given_numbers.whole(1, MOST_RUNS), metavar="N",
         help=f"number of draws (default: {RUNS}; with --until at most {RUNS_UNTIL}; with --against "
         "those of the baseline, "
         f"{RUNS_AGAINST} for a commit); each has --judged paired shifts",
     )  # fmt: skip
     parser.add_argument(
-        "--learn", type=arguments.whole(0, 1000), default=6, metavar="L",
+        "--learn", type=given_numbers.whole(0, 1000), default=6, metavar="L",
         help="shifts of each run in which the controller learns, not judged (default: 6)",
     )  # fmt: skip
     parser.add_argument(
-        "--judged", type=arguments.whole(1, 1000), metavar="K",
+        "--judged", type=given_numbers.whole(1, 1000), metavar="K",
         help="shifts of each run and strategy that are judged (default: "
         f"{JUDGED}; with --until {JUDGED_UNTIL}, which takes the least time to an interval)",
     )  # fmt: skip
     parser.add_argument(
-        "--judged-blind", type=arguments.whole(1, 1000), metavar="K",
+        "--judged-blind", type=given_numbers.whole(1, 1000), metavar="K",
         help="of those, this many also by strategies that are blind to the phase, beside the "
         f"controller's own (default: all; with --until {GAP} 1). --until integrates their gap "
         "rate, which is then the same of one shift of a run as of all",
@@ -141,22 +142,23 @@ def _add_stopping(parser: argparse.ArgumentParser) -> None:
         "of them, 4 where --runs do not tell",
     )  # fmt: skip
     parser.add_argument(
-        "--margin", type=arguments.percent(0.5, 50.0), default=0.03, metavar="PERCENT",
+        "--margin", type=given_numbers.percent(0.5, 50.0), default=0.03, metavar="PERCENT",
         help="with --against: by how much the share of gaps must fall to be called worse "
         "(default: 3)",
     )  # fmt: skip
     parser.add_argument(
-        "--margin-time", type=arguments.percent(0.5, 100.0), default=0.05, metavar="PERCENT",
+        "--margin-time", type=given_numbers.percent(0.5, 100.0), default=0.05, metavar="PERCENT",
         help="with --against: by how much shifts must take longer to be called worse (default: 5)",
     )  # fmt: skip
     parser.add_argument(
-        "--margin-impact", type=arguments.percent(0.5, 500.0), default=0.25, metavar="PERCENT",
+        "--margin-impact", type=given_numbers.percent(0.5, 500.0), default=0.25, metavar="PERCENT",
         help="with --against: by how much the energy of impacts must rise to be called worse "
         "(default: 25)",
     )  # fmt: skip
     parser.add_argument(
-        "--budget", type=float, metavar="S",
-        help="with --until: begin nothing that would end after this many wall seconds",
+        "--budget", type=given_numbers.some_seconds, metavar="S",
+        help="with --until: begin no run that would, by the pace so far, end after this many wall "
+        "seconds; the runs made so far are the result",
     )  # fmt: skip
     parser.add_argument(
         "--junit", type=Path, metavar="FILE", help="the result as JUnit XML, for a CI server"
@@ -206,7 +208,7 @@ def _against(namespace: argparse.Namespace, spec: CampaignSpec, stack: ExitStack
 def _add_execution(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--jobs", type=arguments.whole(1, 1024), default=os.cpu_count() or 1, metavar="J",
+        "--jobs", type=given_numbers.whole(1, 1024), default=os.cpu_count() or 1, metavar="J",
         help="worker processes (default: one a processor)",
     )  # fmt: skip
     where.add_argument(
@@ -220,7 +222,7 @@ def _add_execution(parser: argparse.ArgumentParser) -> None:
         "--resume", action="store_true", help="go on with the campaign in --out; it may grow"
     )
     parser.add_argument(
-        "--only", type=arguments.whole(0, 2**63 - 1), metavar="SEED",
+        "--only", type=given_numbers.whole(0, 2**63 - 1), metavar="SEED",
         help="make the run of this seed alone, here, and show its shifts",
     )  # fmt: skip
 
@@ -371,13 +373,21 @@ def _make(
             if interrupted():
                 raise KeyboardInterrupt
 
-        made = collected.jobs[:0]
+        made, before = collected.jobs[:0], len(collected.done)
+        at_once = 1 if namespace.dask is not None else namespace.jobs
+        in_flight = None if namespace.budget is None else namespace.jobs
+
+        def may_begin() -> bool:
+            return stopping.may_begin(len(collected.done) - before, at_once)
+
         with workplace(namespace.jobs, namespace.dask) as where:
             for runs in stopping.looks(namespace.runs):
                 made = spec.jobs(runs)
-                if not run_all(spec, collected.left(made), where, take):
+                if not run_all(spec, collected.left(made), where, take, may_begin, in_flight):
                     return False
-                if stopping.enough(collected.within(made)):
+                left = set(collected.left(made))
+                made = [job for job in made if job not in left]
+                if stopping.enough(collected.within(made)) or left:
                     break
         collected.stop_at(made)
         return True
@@ -419,7 +429,5 @@ def _strategies(text: str) -> tuple[str, ...]:
 
 def _sweep(text: str) -> tuple[SweepPoint, ...]:
     name, _, values = text.partition("=")
-    try:
-        return tuple(SweepPoint(name, float(value)) for value in values.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}, allowed is NAME=V1,V2,...") from None
+    value = given_numbers.number()
+    return tuple(SweepPoint(name, value(word)) for word in values.split(","))

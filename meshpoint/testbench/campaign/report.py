@@ -12,7 +12,7 @@ from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.campaign.summary import curve_point
 from meshpoint.testbench.campaign.sweep import BACKLASH, BASE_POINT, DELAY_SD
 from meshpoint.testbench.campaign.table import CELLS
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import unwritten
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
@@ -37,7 +37,7 @@ TITLES = {
 def write_report(
     path: Path, spec: CampaignSpec, collected: Collected, values: dict[str, Any]
 ) -> None:
-    """Writes the page. CommandError where it cannot be written."""
+    """Writes the page. CommandError or RunError where it cannot be written."""
     from plotly.offline import get_plotlyjs
 
     title = f"meshpoint campaign: {values['runs']} runs"
@@ -64,7 +64,7 @@ def write_report(
         with path.open("w", encoding="utf-8", newline="\n") as file:
             file.writelines(page.pieces())
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 def figures(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:

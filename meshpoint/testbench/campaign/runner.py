@@ -75,14 +75,18 @@ def run_all(
     jobs: list[Job],
     where: Executor | None,
     take: Callable[[list[RunResult]], None],
+    may_begin: Callable[[], bool] = lambda: True,
+    in_flight: int | None = None,
 ) -> bool:
     """Makes all runs, handing over results as they come; False where it was interrupted.
 
     `take` gets every result exactly once, in any order. A run whose workers die, one after the
-    other, fails alone. WorkersLostError where there is nobody left to make runs."""
+    other, fails alone. WorkersLostError where there is nobody left to make runs. Once there is a
+    run that `may_begin` no more, none is begun; all that are begun come to their end, so that those
+    made are the first ones. `in_flight`: most handed over at a time (None: `IN_FLIGHT`)."""
     if where is None:
-        return _one_by_one(spec, jobs, take)
-    work = _Work(spec, jobs, where, take)
+        return _one_by_one(spec, jobs, take, may_begin)
+    work = _Work(spec, jobs, where, take, may_begin, in_flight or IN_FLIGHT)
     try:
         work.run()
     except KeyboardInterrupt:
@@ -106,8 +110,11 @@ class _Work:
         jobs: list[Job],
         where: Executor,
         take: Callable[[list[RunResult]], None],
+        may_begin: Callable[[], bool],
+        in_flight: int,
     ) -> None:
         self._spec, self._waiting, self._where, self._take = spec, iter(jobs), where, take
+        self._may_begin, self._in_flight = may_begin, in_flight
         self._left: dict[Future[list[RunResult]], Job] = {}
         self._done: SimpleQueue[Future[list[RunResult]]] = SimpleQueue()
         self._deaths = 0
@@ -129,7 +136,10 @@ class _Work:
         return left
 
     def _hand_over(self) -> None:
-        for job in itertools.islice(self._waiting, IN_FLIGHT - len(self._left)):
+        for job in itertools.islice(self._waiting, self._in_flight - len(self._left)):
+            if not self._may_begin():
+                self._waiting = iter(())
+                return
             # One at a time: it takes seconds, which is what Ctrl-C waits for.
             try:
                 future = self._where.submit(run_many, self._spec, [job])
@@ -163,10 +173,15 @@ class _Work:
 
 
 def _one_by_one(
-    spec: CampaignSpec, jobs: list[Job], take: Callable[[list[RunResult]], None]
+    spec: CampaignSpec,
+    jobs: list[Job],
+    take: Callable[[list[RunResult]], None],
+    may_begin: Callable[[], bool],
 ) -> bool:
     try:
         for job in jobs:
+            if not may_begin():
+                break
             take(run_many(spec, [job]))
     except KeyboardInterrupt:
         return False

@@ -36,6 +36,9 @@ class Stopping(Protocol):
     def enough(self, shifts: Shifts, /) -> bool:
         """Whether these are enough; `shifts` are those of the first this many runs."""
 
+    def may_begin(self, done: int, at_once: int, /) -> bool:
+        """Whether there is time for one more run, after `done`, with `at_once` at a time."""
+
     def to_json(self) -> dict[str, Any]:
         """What came of it, by name."""
 
@@ -51,6 +54,10 @@ class AllRuns:
         """Never."""
         return False
 
+    def may_begin(self, _done: int, _at_once: int) -> bool:
+        """Always."""
+        return True
+
     def to_json(self) -> dict[str, Any]:
         """Nothing to say."""
         return {}
@@ -60,7 +67,8 @@ class Until:
     """Stops when an interval is narrow enough, or the time for it is spent.
 
     pair: the strategy, and the one it is held against.
-    budget_s: wall seconds; no look is begun that would, by the pace so far, end after them.
+    budget_s: wall seconds; no look and no run is begun that would, by the pace so far, end after
+    them.
     """
 
     def __init__(
@@ -88,6 +96,16 @@ class Until:
                     return
             yield runs
             done = runs
+
+    def may_begin(self, done: int, at_once: int) -> bool:
+        """Whether one more run would, by the pace so far, end within the budget; the first ones
+        always, as nothing is known of the pace."""
+        if self._budget_s is None or self._began_s is None or not done:
+            return True
+        spent_s = self._clock() - self._began_s
+        has_time = spent_s * (1.0 + at_once / done) <= self._budget_s
+        self._why = self._why if has_time else "budget"
+        return has_time
 
     def enough(self, shifts: Shifts) -> bool:
         """Whether the interval is narrow enough."""
@@ -136,6 +154,10 @@ class Against:
     def looks(self, most_runs: int) -> Iterator[int]:
         """Every few runs (`verdict.looks`)."""
         yield from paired_looks(most_runs)
+
+    def may_begin(self, _done: int, _at_once: int) -> bool:
+        """Always."""
+        return True
 
     def enough(self, shifts: Shifts) -> bool:
         """Whether there is a verdict: the runs are taken in the order of their seeds."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from meshpoint.gearbox.reading import UnreadableError, open_regular
 from meshpoint.testbench.campaign.columns import FIELDS, ShiftColumns, Shifts
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -52,7 +52,7 @@ def write_shifts(path: Path, shifts: Shifts) -> None:
                     writer.write_table(part.to_arrow(columns))
         beside.replace(path)
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 def by_point(shifts: Shifts) -> Iterator[Shifts]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.logs.recorder import LogWriter
-from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.capture_files import (
     LEAST_TEETH,
@@ -28,13 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     known = parser.add_argument_group("what is known of them; else it is tried in turn")
     known.add_argument(
         "--column",
-        type=arguments.whole(1, 64),
+        type=given_numbers.whole(1, 64),
         metavar="N",
         help="the channel, 1 is the first behind the time",
     )
     known.add_argument(
         "--teeth",
-        type=arguments.whole(LEAST_TEETH, MOST_TEETH),
+        type=given_numbers.whole(LEAST_TEETH, MOST_TEETH),
         metavar="N",
         help=f"teeth of the wheel, missing ones counted, {LEAST_TEETH} to {MOST_TEETH}",
     )
@@ -46,7 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="numbers of the missing teeth, tooth 0 is the first behind the widest gap",
     )
     known.add_argument(
-        "--threshold", type=float, metavar="V", help="of a voltage (default: its usual middle)"
+        "--threshold",
+        type=given_numbers.number(),
+        metavar="V",
+        help="of a voltage (default: its usual middle)",
     )
     known.add_argument(
         "--polarity",
@@ -85,10 +88,8 @@ def write_log(namespace: argparse.Namespace, path: Path, asked: Asked) -> Captur
 
 
 def _teeth(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(sorted({int(word) for word in text.split(",") if word.strip()}))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}, allowed are whole numbers: 58,59") from None
+    tooth = given_numbers.whole(0, MOST_TEETH - 1)
+    return tuple(sorted({tooth(word) for word in text.split(",") if word.strip()}))
 
 
 def _wheel(namespace: argparse.Namespace) -> FoundWheel | None:

@@ -11,6 +11,7 @@ import can
 from rich.table import Table
 from rich.text import Text
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.options import (
     DEFAULT_INTERFACE,
@@ -70,7 +71,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--seconds",
-        type=float,
+        type=given_numbers.some_seconds,
         default=5.0,
         metavar="S",
         help="how long to listen (default: 5), with --alive at most; tooth counts need a shaft "
@@ -86,7 +87,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--turn-seconds",
-        type=float,
+        type=given_numbers.some_seconds,
         default=15.0,
         metavar="S",
         help="how long to wait for each shaft to turn (default: 15)",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from meshpoint.bus.command_keys import CommandKeys, load_keys
+from meshpoint.bus.given_numbers import speed, whole
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.reader import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus
@@ -52,49 +52,6 @@ _UNITS = {
     for infix, base in (("", 1000), ("i", 1024))
     for suffix in ("", "b")
 }
-
-
-def whole(low: int, high: int):  # type: ignore[no-untyped-def]
-    """An argparse type: a whole number from `low` to `high`."""
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"{text!r}, allowed is a whole number from {low} to {high}"
-            )
-        return value
-
-    return parse
-
-
-def percent(low: float, high: float) -> Callable[[str], float]:
-    """An argparse type: per cent from `low` to `high`, as a share."""
-
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r}, allowed are {low:g} to {high:g} per cent")
-        return value / 100.0
-
-    return parse
-
-
-def speed(text: str) -> float:
-    """An argparse type: how many times as fast as the wall clock."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 1e-3 <= value <= 1e3:
-        raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number from 0.001 to 1000")
-    return value
 
 
 def size_bytes(text: str) -> int:

@@ -59,13 +59,12 @@ def logged_frames(
 
 def read_in_sensor_time(
     namespace: argparse.Namespace, files: list[Path], sheet: GearboxSheet
-) -> tuple[Unpack, str, Iterator[Entry]]:
-    """A log of the profile that the arguments say: what unpacks its frames, what is to be said of
-    its clock, and its entries in sensor time. LogError where they end early."""
+) -> tuple[str, Callable[[], Iterator[Entry]]]:
+    """A log of the profile that the arguments say: what is to be said of its clock, and what reads
+    its entries in sensor time, as often as it is called. LogError where they end early."""
     unpacking = arguments.unpacking_of(namespace, sheet)
     clock = clock_of(files, unpack=unpacking)
-    entries = clock.in_sensor_time(read_logs(files), unpacking and unpacking())
-    return arguments.unpack_all_of(namespace, sheet), clock.words, entries
+    return clock.words, lambda: clock.in_sensor_time(read_logs(files), unpacking and unpacking())
 
 
 def complain_of_interrupt(frames: int) -> None:

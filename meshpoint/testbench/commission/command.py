@@ -13,6 +13,7 @@ from typing import Any
 
 from rich.table import Table
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.fine_timers import run as run_loop
@@ -78,7 +79,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--drawn",
-        type=arguments.whole(1, 10_000),
+        type=given_numbers.whole(1, 10_000),
         metavar="N",
         help="rehearse on this many drawn gearboxes in virtual time, their sheets withheld and a "
         "tenth of them miswired, and count what was named; no bus is opened",

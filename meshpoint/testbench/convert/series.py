@@ -12,13 +12,16 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from meshpoint.dbc.fields import FieldSpec
+from meshpoint.dbc.fields import FieldSpec, make_enums
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.layout import CODECS, Codec
+from meshpoint.dbc.layout import CODECS, Codec, make_codec
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.schema import SCHEMA
-from meshpoint.dbc.sensor_time import LOW, chained_us, unwrap
+from meshpoint.dbc.sensor_time import LOW, chained_us
+from meshpoint.dbc.truck import TRUCK_SCHEMA
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.convert.left_out import LeftOut
+from meshpoint.testbench.convert.sample_clock import SampleClock, Ties
 from meshpoint.units import US
 
 STAMPS: Final = (
@@ -28,14 +31,18 @@ STAMPS: Final = (
 BETWEEN_US: Final = {"SleevesMain": 1_000, "SleevesAux": 1_000, "ReferenceEncoder": 2_000}
 """Messages that bring several samples of a signal, newest first, and the time between two."""
 EDGES, EDGE_INDEX = "timestamp_low_us", "newest_index"
-APART_S: Final = 0.5
-"""A sample that lies so far from its frame is one of another clock: the sensors have restarted."""
 UNIT_SYMBOLS: Final = {
     "_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_pa": "Pa", "_us": "us", "_fraction": "1",
     "_m": "m", "_k": "K", "_j": "J",
 }  # fmt: skip
 """By the end of a signal's name; the longer ends first."""
 COMPARED: Final = "Compared"
+VALUE_TABLES: Final = {**TRUCK_SCHEMA.value_tables, **SCHEMA.value_tables}
+READABLE: Final[dict[str, Codec]] = {
+    **CODECS,
+    **{spec.name: make_codec(spec, make_enums(TRUCK_SCHEMA)) for spec in TRUCK_SCHEMA.messages},
+}
+"""The messages of the product's DBC and of the truck's other nodes, by name."""
 NO_NAMES: Final[Mapping[int, str]] = MappingProxyType({})
 
 
@@ -72,7 +79,7 @@ class Sample(NamedTuple):
 def _signal(field: FieldSpec) -> Signal:
     first = field.signals[0]
     name = EDGE_INDEX if field.name == EDGES else field.name
-    return Signal(name, first.comment, SCHEMA.value_tables.get(first.value_table or "", {}))
+    return Signal(name, first.comment, VALUE_TABLES.get(first.value_table or "", {}))
 
 
 def _topic(codec: Codec) -> Topic:
@@ -81,7 +88,7 @@ def _topic(codec: Codec) -> Topic:
 
 
 TOPICS: Final[dict[str, Topic]] = {
-    **{name: _topic(codec) for name, codec in CODECS.items()},
+    **{name: _topic(codec) for name, codec in READABLE.items()},
     COMPARED: Topic(
         "Estimates of the controller beside what the rig says was true at the same instant.",
         (
@@ -98,28 +105,34 @@ TOPICS: Final[dict[str, Topic]] = {
     ),
 }
 """All topics by name."""
-BY_IDENTIFIER: Final = {codec.spec.can_id: (name, codec) for name, codec in CODECS.items()}
+BY_IDENTIFIER: Final = {codec.spec.can_id: (name, codec) for name, codec in READABLE.items()}
 
 
 class TimeSeries:
     """Takes frames in the order of the bus, each with its time in s."""
 
-    def __init__(self) -> None:
-        self._clock = _SampleClock()
+    def __init__(self, ties: Ties) -> None:
+        self.left_out = LeftOut()
+        self._clock = SampleClock(ties)
         self._indices: dict[str, int] = {}
         """The newest edge of each array."""
         self._compared = _Compared()
 
     def take(self, time_s: float, frame: Frame) -> Iterator[Sample]:
-        """The samples of a frame, oldest first; none of a frame that is of nobody here, or
-        damaged."""
+        """The samples of a frame, oldest first; none of a frame that is of nobody here, or damaged,
+        which `left_out` counts."""
+        sampled_s = self._clock.of_sensors(time_s, frame)
         name, codec = BY_IDENTIFIER.get(frame.can_id, ("", None))
-        message = None if codec is None else read_alone(codec, frame)
+        if codec is None:
+            self.left_out.unknown(frame.can_id)
+            return
+        message = read_alone(codec, frame)
         if message is None:
+            self.left_out.damaged(name)
             return
         values = message._asdict()
         stamp = next((values.pop(each) for each in STAMPS if each in values), None)
-        at_s = time_s if stamp is None else self._clock.at_s(time_s, stamp)
+        at_s = self._at_s(time_s, stamp) if sampled_s is None else sampled_s
         yield from self._rows(name, at_s, stamp, values)
         found = self._compared.take(name, at_s, stamp, values)
         if found is not None:
@@ -128,6 +141,16 @@ class TimeSeries:
     def rest(self) -> Iterator[Sample]:
         """What is left when no frame comes any more."""
         yield from self._compared.rest()
+
+    def _at_s(self, time_s: float, stamp: int | None) -> float:
+        """When a frame was true that is none of the sensors'."""
+        if stamp is None:
+            return time_s
+        at_s = self._clock.of_controller(time_s, stamp)
+        if at_s is None:
+            self.left_out.unplaced += 1
+            return time_s
+        return at_s
 
     def _rows(
         self, name: str, at_s: float, stamp: int | None, values: dict[str, Any]
@@ -161,22 +184,6 @@ class TimeSeries:
 def _number(value: Any, k: int) -> float | None:
     of = value[k] if isinstance(value, tuple) else value
     return None if of is None else of if isinstance(of, float) else int(of)
-
-
-class _SampleClock:
-    """Stamps of the sensors' clock as times of the bus: tied to it by the first one."""
-
-    def __init__(self) -> None:
-        self._newest_us: int | None = None
-        self._offset_s = 0.0
-
-    def at_s(self, time_s: float, stamp: int) -> float:
-        """The time of a stamp in a frame that came at `time_s`."""
-        newest_us = stamp if self._newest_us is None else unwrap(stamp, self._newest_us)
-        if self._newest_us is None or abs(newest_us * US + self._offset_s - time_s) > APART_S:
-            self._offset_s = time_s - newest_us * US
-        self._newest_us = newest_us
-        return newest_us * US + self._offset_s
 
 
 class _Compared:

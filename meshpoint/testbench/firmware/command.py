@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from meshpoint.gearbox import SheetError, load_sheet
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.firmware.build import (
     BOTH_IMAGES,
@@ -59,7 +59,7 @@ def run(namespace: argparse.Namespace) -> int:
         try:
             path.write_bytes(content)
         except OSError as error:
-            raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+            raise unwritten(path, error) from error
         tell(f"{path}: {len(content)} bytes")
     return Exit.DONE
 

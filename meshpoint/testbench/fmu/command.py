@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Final
 
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.extra import needed
 from meshpoint.testbench.results.output import tell
@@ -44,6 +44,6 @@ def run(namespace: argparse.Namespace) -> int:
         try:
             shutil.copyfile(made, path)
         except OSError as error:
-            raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+            raise unwritten(path, error) from error
     tell(f"{path}: FMI 3.0 co-simulation, needs meshpoint where it is imported")
     return Exit.DONE

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
+from xml.etree.ElementTree import Element
 
 from pythonfmu3 import (
     Boolean,
@@ -17,11 +19,13 @@ from pythonfmu3 import (
     Fmi3Variability,
     Int32,
     String,
+    Unit,
 )
 
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile, RigSettings
 from meshpoint.testbench.fmu.driven_rig import SHAFTS, VALVES, DrivenRig, Inputs, outputs
+from meshpoint.testbench.fmu.wrapper import end_well, hold
 
 NO_REQUEST, SPEED, TORQUE = range(3)
 """Values of `engine_control`."""
@@ -34,6 +38,18 @@ RANGES = {
     "slope_added_percent": (-20.0, 20.0),
 }
 """Least and greatest value of each input that is a number; none of them may be no number."""
+UNITS: Final = {
+    "rad_s": Unit("rad/s", rad=1, s=-1),
+    "rad": Unit("rad", rad=1),
+    "m_s": Unit("m/s", m=1, s=-1),
+    "m": Unit("m", m=1),
+    "pa": Unit("Pa", kg=1, m=-1, s=-2),
+    "rpm": Unit("rpm", rad=1, s=-1, factor=math.pi / 30.0),
+    "percent": Unit("%", factor=0.01),
+    "fraction": Unit("1"),
+    "s": Unit("s", s=1),
+}
+"""By the end of a variable's name, longer ends first."""
 LEAST_STEP_S, MOST_STEP_S = 1e-6, 10.0
 REFUSALS = (OSError, ValueError, TypeError, OverflowError)
 """What a value that cannot be used raises."""
@@ -46,6 +62,8 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**given)
+        end_well(given.get("resources") or "")
+        self.register_units([*UNITS.values()])
         self._rig: DrivenRig | None = None
         self._end_us: int | None = None
         self._ended = False
@@ -59,8 +77,11 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
     def _add(
         self, kind: Any, name: str, causality: Any, start: Any, text: str, **more: Any
     ) -> None:
-        """A variable kept in `_values`."""
+        """A variable kept in `_values`; a real one in the unit that its name ends with."""
         self._values[name] = start
+        if kind is Float64:
+            end = next((end for end in UNITS if name.endswith(f"_{end}")), "s")  # `time`
+            more["unit"] = UNITS[end].name
         self.register_variable(
             kind(
                 name,
@@ -114,15 +135,23 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
         self._add(Float64, "contact_phase_rad", of, 0.0, "from the gap's middle", **discrete)
         self._add(Float64, "contact_slip_rad_s", of, 0.0, "gear less sleeve", **discrete)
 
+    def to_xml(self, model_options: Any = None) -> Element:
+        """The unit's description. That steps may differ in size is said here: pythonfmu3 writes the
+        value of another option there."""
+        root: Element = super().to_xml(model_options or {})
+        for each in root.iter("CoSimulation"):
+            each.set("canHandleVariableCommunicationStepSize", "true")
+        return root
+
     def exit_initialization_mode(self) -> None:
-        """Builds the gearbox from the parameters. Where one cannot be used, that is logged, and no
-        step can be made: pythonfmu3's wrapper frees an instance twice that has raised an error."""
+        """Builds the gearbox from the parameters. Raises one of `REFUSALS` where one cannot be
+        used: the wrapper logs it, and the importer gets status `fatal`."""
         try:
             self._rig = self._built()
-        except REFUSALS as error:
-            self._refuse(error)
-        else:
-            self._show()
+        except REFUSALS:
+            hold(self, type(self), self.log_queue)
+            raise
+        self._show()
 
     def _built(self) -> DrivenRig:
         value, profiles = self._values, [str(each) for each in Profile]
@@ -155,7 +184,7 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
 
     def _go_on(self, current_time: float, step_size: float) -> None:
         if self._rig is None:
-            raise ValueError("a step without a gearbox: a parameter cannot be used")
+            raise ValueError("a step before the initialization has ended")
         for name, (least, most) in RANGES.items():
             if not least <= self._values[name] <= most:
                 raise ValueError(f"{name}: found {self._values[name]}, allowed: {least} to {most}")
@@ -172,6 +201,7 @@ class GearboxRig(Fmi3Slave):  # type: ignore[misc]  # pythonfmu3 has no types
             )
         self._end_us = end_us
         self._rig.advance(begin_us, end_us, self._asked())
+        self._values["time"] = current_time + step_size
         self._show()
 
     def terminate(self) -> None:

@@ -25,7 +25,7 @@ from meshpoint.testbench.command_line.log_progress import (
     log_name,
     logged_frames,
 )
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.identify.held_out import HeldOut
 from meshpoint.testbench.identify.identified import Figure, Identified
@@ -94,8 +94,7 @@ def run(namespace: argparse.Namespace) -> int:
         try:
             namespace.output.write_text(text, encoding="utf-8")
         except OSError as error:
-            cause = error.strerror or error
-            raise CommandError(f"{namespace.output}: cannot be written: {cause}") from error
+            raise unwritten(namespace.output, error) from error
     if namespace.json is not None:
         write_json(namespace.json, _values(found, files, gearbox, log))
     if namespace.json != "-":

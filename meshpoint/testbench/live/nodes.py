@@ -11,6 +11,7 @@ from typing import Any
 
 import can
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.core import Core
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import (
@@ -26,12 +27,12 @@ from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import MAX_MAIN_SPEED_RPM, Preset, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.firmware import add_firmware, firmware_of
 from meshpoint.testbench.command_line.pace import add_pace, clock_of
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import log_folder, recording, save_header, start_log
 from meshpoint.testbench.provenance import gearbox_words
@@ -109,7 +110,7 @@ def add_rig_start(parser: arguments.Arguments) -> arguments.Arguments:
     """--gear and --main-speed; the group of which only one may be given."""
     parser.add_argument(
         "--gear",
-        type=arguments.whole(1, len(DRIVE_GEARS)),
+        type=given_numbers.whole(1, len(DRIVE_GEARS)),
         default=8,
         metavar="N",
         help="the gear it stands in at the start (default: 8)",
@@ -117,7 +118,7 @@ def add_rig_start(parser: arguments.Arguments) -> arguments.Arguments:
     speed = parser.add_mutually_exclusive_group()
     speed.add_argument(
         "--main-speed",
-        type=float,
+        type=given_numbers.number(0.0, MAX_MAIN_SPEED_RPM),
         default=RigSettings().main_speed_rpm,
         metavar="RPM",
         help="main shaft speed at the start (default: %(default)g)",
@@ -139,6 +140,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
     from meshpoint.controller.node import run_controller
+    from meshpoint.controller.only_one import OtherControllerError
 
     if namespace.shadow:
         return run_shadow(namespace)
@@ -169,7 +171,12 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     address=controller_address(namespace),
                 )
 
-    lost = run_loop(run()).record_lines_lost
+    try:
+        lost = run_loop(run()).record_lines_lost
+    except OtherControllerError as error:
+        if writer is not None:
+            writer.close()
+        raise RunError(str(error)) from None
     if lost:
         complain(f"meshpoint controller: {lost} lines of its records could not be written")
     unwritten = writer.close() if writer is not None else None

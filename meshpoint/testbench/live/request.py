@@ -11,6 +11,7 @@ from typing import Any
 
 import can
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.slowness import times_slower
@@ -49,10 +50,10 @@ def add_parser(commands: Any) -> None:
         "Gears are 1 to 12; 13 and 14 are the crawl gears. Where the shift fails because a node "
         "was late, it says so and asks again.",
     )
-    parser.add_argument("gear", type=arguments.whole(1, len(DRIVE_GEARS)), metavar="GEAR")
+    parser.add_argument("gear", type=given_numbers.whole(1, len(DRIVE_GEARS)), metavar="GEAR")
     parser.add_argument(
         "--timeout",
-        type=float,
+        type=given_numbers.seconds,
         default=10.0,
         metavar="S",
         help="seconds to wait for the outcome, of bus time where that goes slower than the wall "
@@ -70,7 +71,7 @@ def run(namespace: argparse.Namespace) -> int:
         arbitration_id=request.can_id, data=request.data, is_extended_id=True, is_fd=False
     )
     with open_bus_from(namespace) as bus:
-        if namespace.timeout <= 0:
+        if namespace.timeout == 0.0:
             bus.send(message)
             tell(f"asked for gear {namespace.gear}")
             return Exit.DONE

@@ -9,7 +9,6 @@ reads are put between these two by their share of the logged time.
 
 from __future__ import annotations
 
-import contextlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -134,10 +133,15 @@ class _Reads:
         self._newest_us, self._logged_s = read_us, time_s
         if newest_us is None:
             return Read(0.0, is_break=True)
-        passed_s = time_s - logged_s
-        goes_on = 0.0 < step_s <= GOES_ON_S or abs(step_s - passed_s) <= JUMP_S
-        was_set = passed_s < -BACK_S or passed_s - step_s > SET_FORWARD_S
-        return Read(step_s, not goes_on or was_set)
+        return Read(step_s, is_break(step_s, time_s - logged_s))
+
+
+def is_break(step_s: float, passed_s: float) -> bool:
+    """Whether one of the clocks was set, or the sensors have restarted: theirs has gone on by
+    `step_s` while `passed_s` went by in the log."""
+    goes_on = 0.0 < step_s <= GOES_ON_S or abs(step_s - passed_s) <= JUMP_S
+    was_set = passed_s < -BACK_S or passed_s - step_s > SET_FORWARD_S
+    return not goes_on or was_set
 
 
 class _Points:
@@ -301,13 +305,19 @@ def clock_of(
     stop: Callable[[], bool] = lambda: False,
 ) -> LogClock:
     """The clock of these files, read as far as they can be, or until `stop` says so. unpack: makes
-    one that makes frames of meshpoint.dbc of those on a bus of another profile."""
+    one that makes frames of meshpoint.dbc of those on a bus of another profile. LogError where
+    nothing of them can be read."""
     fit = LogClockFit(None if unpack is None else unpack())
-    with contextlib.suppress(LogError):  # it is said when the frames are read
-        for number, (time_s, frame) in enumerate(read_logs(files, bus)):
+    frames = 0
+    try:
+        for time_s, frame in read_logs(files, bus):
             fit.take(time_s, frame)
-            if number % STOP_FRAMES == 0 and stop():
+            if frames % STOP_FRAMES == 0 and stop():
                 break
+            frames += 1
+    except LogError:
+        if frames == 0:
+            raise  # of a later defect it is said when the frames are read
     return fit.finish()
 
 

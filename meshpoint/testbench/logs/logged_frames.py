@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -54,7 +55,8 @@ class LoggedFrames:
 
     def __iter__(self) -> Iterator[tuple[float, Frame]]:
         if self._in_sensor_time:
-            self.clock = clock_of(self._files, self._bus, self._unpack, self._stop)
+            with suppress(LogError):  # it is noted when the frames are read
+                self.clock = clock_of(self._files, self._bus, self._unpack, self._stop)
             yield from self.clock.in_sensor_time(self._entries(), self._new_unpack())
             return
         fit = LogClockFit(self._new_unpack())

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import unwritten
 from meshpoint.testbench.report.html import Page
 from meshpoint.testbench.report.motion import geometry
 
@@ -25,7 +25,7 @@ DIALS: Final = (
 
 
 def write_play(path: Path, sheet: GearboxSheet) -> None:
-    """Writes the page for a gearbox. CommandError where it cannot be written."""
+    """Writes the page for a gearbox. CommandError or RunError where it cannot be written."""
     own = {
         "gap": 100.0 * sheet.dog.backlash_share,
         "delay": 1e3 * sheet.sleeve.delay_s,
@@ -53,7 +53,7 @@ def write_play(path: Path, sheet: GearboxSheet) -> None:
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 def _dial(

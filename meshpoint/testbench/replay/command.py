@@ -13,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.light_can import load_can
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.reader import LogError
@@ -71,7 +72,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_logs(parser)
     parser.add_argument(
         "--jobs",
-        type=arguments.whole(1, 1024),
+        type=given_numbers.whole(1, 1024),
         metavar="J",
         help="each LOG is a bus of its own, J of them at a time; the results do not depend on J",
     )

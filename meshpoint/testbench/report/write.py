@@ -11,7 +11,7 @@ from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import unwritten
 from meshpoint.testbench.logs.beliefs import Beliefs
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.figures import shift_figure
@@ -86,12 +86,13 @@ def estimator_notes(name: str, figures: dict[str, Any]) -> list[str]:
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Writes the page. CommandError where it cannot be written."""
+    """Writes the page. CommandError or RunError where it cannot be written."""
     write_page(path, lambda plotly_js: page(report, report_data(report), plotly_js))
 
 
 def write_page(path: Path, made: Callable[[str], str]) -> None:
-    """Writes what is made with Plotly's script. CommandError where it cannot be written."""
+    """Writes what is made with Plotly's script. CommandError or RunError where it cannot be
+    written."""
     from plotly.offline import get_plotlyjs  # loading it takes longer than most commands
 
     text = made(get_plotlyjs())
@@ -99,7 +100,7 @@ def write_page(path: Path, made: Callable[[str], str]) -> None:
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 def report_data(report: Report) -> dict[str, Any]:

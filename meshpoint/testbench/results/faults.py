@@ -45,6 +45,8 @@ MEANING: Final[dict[FaultCode, str]] = {
     "shaft's: see its wheel and the tooth count of the data sheet",
     FaultCode.WHEELS_DISAGREE: "two speed sensors contradict each other, and no third says which "
     "is wrong: the controller's own lines name both",
+    FaultCode.SLIP_AT_CONTACT: "a sleeve came to a gear that turned against it outside the guard's "
+    "slip window, as one thrown through neutral: look at the dog teeth",
 }
 
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import unwritten
 
 
 def write_junit(path: Path, command: str, cases: Sequence[tuple[str, str]], out: str) -> None:
     """A test case for each (name, why it failed), the latter empty where it passed; `out` is the
-    suite's output. CommandError where it cannot be written."""
+    suite's output. CommandError or RunError where it cannot be written."""
     text = "\n".join(
         [
             '<?xml version="1.0" encoding="utf-8"?>',
@@ -26,11 +26,11 @@ def write_junit(path: Path, command: str, cases: Sequence[tuple[str, str]], out:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a file. CommandError where it cannot be written."""
+    """Writes a file. CommandError or RunError where it cannot be written."""
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 def _case(command: str, name: str, why: str) -> str:

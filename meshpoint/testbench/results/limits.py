@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +28,7 @@ MEANINGS: Final = {
     "aborted": "share of shifts whose sleeve was stopped short of the teeth, once or more",
     "aborts_max": "most such aborts of a shift",
     "blocked": "attempts in which sleeve and gear stuck tooth on tooth",
+    "outside_window": "contacts of any gear at a slip outside the guard's window",
     "ratchets": "times a flank threw the sleeve back",
     "impact_j_max": "most energy lost in flank impacts of a shift",
 }
@@ -83,7 +85,9 @@ def parse_limit(text: str) -> Limit:
     try:
         value = float(found[3])
     except ValueError:
-        raise ValueError(f"{text!r}: {found[3]!r} is no number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r}: {found[3]!r} is no number")
     return Limit(found[1], found[2], value / 100.0 if found[4] else value)
 
 
@@ -101,6 +105,7 @@ def figures(summary: Summary, rows: Sequence[ShiftRow]) -> Mapping[str, float | 
         "aborted": summary.aborted / len(rows) if rows else None,
         "aborts_max": max((row.aborts for row in rows), default=None),
         "blocked": sum(row.blocked for row in rows) if rows else None,
+        "outside_window": sum(row.outside_window for row in rows) if rows else None,
         "ratchets": sum(row.ratchets for row in rows) if rows else None,
         "impact_j_max": max((row.impact_j for row in rows), default=None),
     }

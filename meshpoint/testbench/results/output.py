@@ -17,12 +17,16 @@ from rich.text import Text
 
 from meshpoint.controller.strategy_file import is_file_name
 from meshpoint.gearbox.plain_text import plain
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, unwritten
 
 if TYPE_CHECKING:
     from meshpoint.testbench.results.rows import ShiftRow
 
 WIDTH_WITHOUT_TERMINAL = 130
+READ = ("settings", "keys", "faults", "as_built", "gearbox", "map", "dbc")
+"""Arguments that name files to read."""
+WRITTEN = ("log", "calibration", "out", "output", "json", "report", "junit", "markdown")
+"""Arguments that name files to write; lists of them (LOG ...) are read."""
 TRIES = "tries/\naborts"
 """The header over `tries`."""
 SHIFT_COLUMNS = (
@@ -49,7 +53,7 @@ def write_json(target: str, values: dict[str, Any]) -> None:
             with beside(path.resolve()) as new, new.open("x", encoding="utf-8") as file:
                 _write(file, pieces)
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
 
 
 @contextmanager
@@ -143,7 +147,36 @@ def check_writable(target: str | None, made: Path | None = None) -> None:
         if not was_there:
             path.unlink()
     except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(path, error) from error
+
+
+def check_apart(given: Mapping[str, Any]) -> None:
+    """That no two outputs are one file, and none is a file that is read: the one written last would
+    be all that is left. given: a command's arguments by name. CommandError names both."""
+    named: dict[object, str] = {}
+    for name in (*READ, *WRITTEN):
+        values = given.get(name)
+        reads = name in READ or not isinstance(values, (str, Path))
+        for value in values if isinstance(values, list) else [values]:
+            key = _file_key(value)
+            if key is None:
+                continue
+            if key in named and not reads:
+                raise CommandError(
+                    f"{named[key]} and --{name} name one file, {value}: allowed are two files"
+                )
+            named[key] = "LOG" if reads and name == "log" else f"--{name.replace('_', '-')}"
+
+
+def _file_key(value: object) -> object:
+    """The same for two names of one file; None for what is none: a folder, a pipe, a device."""
+    if not isinstance(value, (str, Path)) or str(value) in ("", "-") or str(value).endswith("/"):
+        return None
+    path = Path(value)
+    if path.is_file():
+        found = path.stat()
+        return found.st_dev, found.st_ino
+    return None if path.exists() else path.resolve()
 
 
 def shown(strategy: str) -> str:

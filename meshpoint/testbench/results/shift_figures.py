@@ -55,6 +55,9 @@ class ShiftFigures:
     """Times a flank threw the sleeve back."""
     blocked: int = 0
     """Attempts in which sleeve and gear stuck tooth on tooth."""
+    outside_window: int = 0
+    """Contacts of any main gear, the old and the opposite one too, at a slip further than 10 rpm
+    outside the guard's window, by the rig's truth."""
     bound_ms: float | None = None
     """The kinematic minimum of the duration; None where there is none, or what was drawn for the
     rig is not known."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.silkit.library import REGISTRY
 from meshpoint.bus.simulated.core import QueueOrder
@@ -127,7 +127,7 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
     """--bus-load and --bus-queue."""
     parser.add_argument(
         "--bus-load",
-        type=_load,
+        type=given_numbers.number(LEAST_LOAD, 1.0),
         metavar="X",
         help="share of the bus that is taken, 0.1 to 1: frames of exact length, arbitration, and "
         "other nodes' frames, drawn from the seed, up to this load (default: our own frames alone, "
@@ -173,16 +173,6 @@ def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
     from meshpoint.testbench.silkit.rig_apart import RigApart
 
     return RigApart(setup, namespace.silkit)
-
-
-def _load(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not LEAST_LOAD <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number from {LEAST_LOAD} to 1")
-    return value
 
 
 def run(namespace: argparse.Namespace) -> int:

@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from meshpoint.bus import given_numbers
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.options import add_bus_arguments, bus_config, open_bus_from
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.command_line.log_progress import read_in_sensor_time
-from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_clock import Entry, Unpack
 from meshpoint.testbench.results.output import WordsConsole, complain
@@ -45,7 +45,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--speed",
-        type=float,
+        type=given_numbers.number(0.0, 1e6),
         default=1.0,
         metavar="X",
         help="a log's time against the wall clock; 0.02 is slow motion, 0 as fast as it can be "
@@ -54,7 +54,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--for",
         dest="for_s",
-        type=float,
+        type=given_numbers.seconds,
         metavar="S",
         help="end after this many wall seconds (default: Ctrl-C, or the log's end)",
     )
@@ -66,17 +66,16 @@ def add_parser(commands: Any) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Draws until the end, or Ctrl-C."""
-    if namespace.speed < 0.0:
-        raise CommandError(f"--speed {namespace.speed:g}: allowed are 0 and more")
     out = WordsConsole()
     title = namespace.log[0].name if namespace.log else _bus_name(namespace)
     sheet = arguments.sheet_of(namespace)
     panel = Panel(sheet, title)
     if namespace.log:
-        unpack, said, entries = read_in_sensor_time(namespace, log_files(namespace.log), sheet)
+        said, entries = read_in_sensor_time(namespace, log_files(namespace.log), sheet)
         if said:
             complain(f"meshpoint watch: {said}")
-        pictures = _of_log(panel, namespace.speed, unpack, entries)
+        unpack = arguments.unpack_all_of(namespace, sheet)
+        pictures = _of_log(panel, namespace.speed, unpack, entries())
     else:
         pictures = _of_bus(panel, namespace, arguments.unpack_all_of(namespace, sheet))
     end_s = None if namespace.for_s is None else time.monotonic() + namespace.for_s

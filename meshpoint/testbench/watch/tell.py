@@ -84,8 +84,9 @@ def run(namespace: argparse.Namespace) -> int:
 
 def _lines(namespace: argparse.Namespace) -> Iterator[Line]:
     story, files, sheet = Story(), log_files(namespace.log), arguments.sheet_of(namespace)
-    unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
-    for time_s, frame in entries:
+    said, entries = read_in_sensor_time(namespace, files, sheet)
+    unpack = arguments.unpack_all_of(namespace, sheet)
+    for time_s, frame in entries():
         if said:
             yield Line(0.0, None, "bus", said)
             said = ""

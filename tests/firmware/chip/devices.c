@@ -117,6 +117,7 @@ static void scan(void) {
     REG(ADC1 + 0x08) = 1u << 28 | 1;
     while (!(REG(ADC1) & 1)) {
     }
+    REG(ADC1 + 0x14) = 3 << 18 | 3 << 21; /* 24.5 clocks: sources of 1 kohm */
     REG(ADC1 + 0x30) = 7 << 12 | 6 << 6 | 1;
     REG(ADC1 + 0x10) = 3 << 2 | 1;
     REG(ADC1 + 0x0C) = 1u << 31 | 1 << 10 | 13 << 5 | 1 << 1 | 1;

@@ -6,7 +6,8 @@ Memory map, requests, interrupts and triggers: RM0440, chapters on memory, DMAMU
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
 from meshpoint.testbench.firmware.cortex_m4.adc import Adc, AdcCommon
@@ -14,7 +15,7 @@ from meshpoint.testbench.firmware.cortex_m4.dma import CHANNELS, Dma, Dmamux
 from meshpoint.testbench.firmware.cortex_m4.fdcan import Fdcan, MessageRam
 from meshpoint.testbench.firmware.cortex_m4.flash import Flash
 from meshpoint.testbench.firmware.cortex_m4.gpio import Gpio, Mode
-from meshpoint.testbench.firmware.cortex_m4.iwdg import Iwdg
+from meshpoint.testbench.firmware.cortex_m4.iwdg import LSI_HZ, Iwdg
 from meshpoint.testbench.firmware.cortex_m4.nvic import SYSTICK, Nvic
 from meshpoint.testbench.firmware.cortex_m4.pwr import Pwr
 from meshpoint.testbench.firmware.cortex_m4.rcc import (
@@ -54,15 +55,17 @@ class TimerPlace(NamedTuple):
     """Internal trigger of the other timers (ITR) that its TRGO is."""
     converts: int
     """External trigger of the ADCs (EXTSEL) that its TRGO is."""
+    update_request: int
+    """DMAMUX: of its update."""
 
 
 NO_TRIGGER: Final = -1
 TIMERS: Final = {
-    "TIM2": TimerPlace(WideTimer, 0x4000_0000, 0, 28, 56, 1, 11),
-    "TIM3": TimerPlace(GeneralTimer, 0x4000_0400, 1, 29, 61, 2, 4),
-    "TIM5": TimerPlace(WideTimer, 0x4000_0C00, 3, 50, 72, 4, NO_TRIGGER),
-    "TIM6": TimerPlace(Timer, 0x4000_1000, 4, 54, 0, NO_TRIGGER, 13),
-    "TIM7": TimerPlace(Timer, 0x4000_1400, 5, 55, 0, NO_TRIGGER, NO_TRIGGER),
+    "TIM2": TimerPlace(WideTimer, 0x4000_0000, 0, 28, 56, 1, 11, 60),
+    "TIM3": TimerPlace(GeneralTimer, 0x4000_0400, 1, 29, 61, 2, 4, 65),
+    "TIM5": TimerPlace(WideTimer, 0x4000_0C00, 3, 50, 72, 4, NO_TRIGGER, 76),
+    "TIM6": TimerPlace(Timer, 0x4000_1000, 4, 54, 0, NO_TRIGGER, 13, 8),
+    "TIM7": TimerPlace(Timer, 0x4000_1400, 5, 55, 0, NO_TRIGGER, NO_TRIGGER, 9),
 }
 TIMER_PINS: Final = {
     ("A", 0, 1): ("TIM2", 1), ("A", 1, 1): ("TIM2", 2), ("B", 10, 1): ("TIM2", 3),
@@ -113,6 +116,12 @@ class Outside(NamedTuple):
     """A timer has switched this pin to a level, at this time in us."""
     is_free: bool = True
     """Whether TIM6 triggers the ADCs as it comes round; else `Chip.scan` alone does."""
+    takes_time: bool = False
+    """Whether conversions do."""
+    lsi_hz: int = LSI_HZ
+    """Of the watchdog's oscillator."""
+    sources_ohm: Mapping[tuple[str, int], int] = MappingProxyType({})
+    """Before analogue pins, at the most; none where it is not said."""
 
 
 class Chip:
@@ -127,7 +136,7 @@ class Chip:
         self.rcc = Rcc(lambda: self.flash.wait_states, why_reset)
         systick = SysTick(self._hclk_hz, lambda: self.nvic.pend(SYSTICK))
         self.nvic = Nvic(systick, lambda: self._ask_reset(SOFTWARE_RESET))
-        self.iwdg = Iwdg(lambda: self._ask_reset(IWDG_RESET))
+        self.iwdg = Iwdg(lambda: self._ask_reset(IWDG_RESET), outside.lsi_hz)
         self.ports = {name: self._port(name) for name in PORTS}
         self.timers = {name: self._timer(name) for name in TIMERS}
         self.dmamux = Dmamux("DMAMUX")
@@ -138,7 +147,9 @@ class Chip:
             "FDCAN1", MessageRam(outside.load, outside.store), lambda: self.rcc.fdcan_hz,
             lambda line, is_high: self.nvic.line(FDCAN_INTERRUPTS[line], is_high),
         )  # fmt: skip
-        self._clocked: tuple[Clocked, ...] = (systick, self.iwdg, self.fdcan, *self.timers.values())
+        self._clocked: tuple[Clocked, ...] = (
+            systick, self.iwdg, self.fdcan, *self.timers.values(), *self.adcs.values(),
+        )  # fmt: skip
         self._map = self._places()
         self._found: dict[int, tuple[Peripheral, int]] = {}
 
@@ -183,9 +194,12 @@ class Chip:
             timer, unit = found
             timer.edges(unit, rising, counts)
 
-    def scan(self) -> None:
-        """TIM6 triggers the ADCs once, where it is running."""
+    def scan(self, at_us: int) -> None:
+        """TIM6 has come round once, where it is running: by all clocks it was at this time."""
         if self.timers[SCANNED_BY].is_running:
+            now_us, self.now_us = self.now_us, at_us
+            self._fetch(SCANNED_BY)
+            self.now_us = now_us
             self._convert(TIMERS[SCANNED_BY].converts)
 
     @property
@@ -193,9 +207,20 @@ class Chip:
         """Whether the CAN controller's pins are its own."""
         return all(self.ports[port].alternate(pin) == number for port, pin, number in FDCAN_PINS)
 
+    def _fetch(self, timer: str) -> None:
+        """A timer's update asks DMA for a value, where it may."""
+        if self.timers[timer].asks_dma:
+            for channel in self.dmamux.channels(TIMERS[timer].update_request):
+                self.dmas[channel // CHANNELS].fetch(channel % CHANNELS)
+
     def _convert(self, trigger: int) -> None:
         for adc in self.adcs.values():
-            adc.trigger(trigger)
+            adc.trigger(trigger, self.now_us)
+
+    def _adc_hz(self) -> int:
+        """The converters' clock; 0 where they have none. That of their own is HCLK's here."""
+        divided = self.adc_common.divided_by or int(self.rcc.has_adc_clock)
+        return self.rcc.hclk_hz // divided if divided else 0
 
     def _hclk_hz(self) -> int:
         return self.rcc.hclk_hz
@@ -218,6 +243,7 @@ class Chip:
                 if isinstance(other, GeneralTimer):
                     other.triggered(place.trigger, now_us)
             if name != SCANNED_BY or self._outside.is_free:
+                self._fetch(name)
                 self._convert(place.converts)
 
         def output(unit: int, is_high: bool, now_us: int) -> None:
@@ -236,7 +262,7 @@ class Chip:
     def _dma(self, number: int) -> Dma:
         interrupts = DMA_INTERRUPTS[number - 1]
         return Dma(
-            f"DMA{number}", self._outside.store,
+            f"DMA{number}", lambda address: self.read(address, WORD_BYTES), self._outside.store,
             lambda channel, is_high: self.nvic.line(interrupts[channel], is_high),
         )  # fmt: skip
 
@@ -253,7 +279,8 @@ class Chip:
             name, pin_of, self._outside.voltages,
             lambda values: self._request(ADC_REQUESTS[name], data, values),
             lambda is_high: self.nvic.line(ADC_INTERRUPT, is_high),
-            lambda: self.adc_common.has_clock or self.rcc.has_adc_clock,
+            lambda: self._adc_hz(), self._outside.takes_time,
+            self._outside.sources_ohm,
         )  # fmt: skip
 
     def _request(self, request: int, address: int, values: Sequence[int]) -> bool:

@@ -48,12 +48,14 @@ class Dma(Peripheral):
     def __init__(
         self,
         name: str,
+        load: Callable[[int], int],
         store: Callable[[int, bytes], None],
         interrupt: Callable[[int, bool], None],
     ) -> None:
-        """store: writes to memory. interrupt: a channel's line, counted from 0."""
+        """load: reads a register. store: writes to memory. interrupt: a channel's line, counted
+        from 0."""
         super().__init__(name)
-        self._store, self._interrupt = store, interrupt
+        self._load, self._store, self._interrupt = load, store, interrupt
         self._count = [0] * CHANNELS  # what CNDTR was as the channel was enabled
 
     def write(self, offset: int, value: int, now_us: int) -> None:
@@ -107,6 +109,13 @@ class Dma(Peripheral):
             self.value[CNDTR + base] = count if not left and control & CIRC else left
         self._show(channel)
         return True
+
+    def fetch(self, channel: int) -> None:
+        """A request of no register's: what the channel's own address reads is taken."""
+        base = STRIDE * channel
+        if self.value[CCR + base] & EN:
+            address = self.value[CPAR + base]
+            self.take(channel, address, [self._load(address)])
 
     def _enable(self, channel: int) -> None:
         base = STRIDE * channel

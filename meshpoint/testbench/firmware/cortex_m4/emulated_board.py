@@ -1,21 +1,25 @@
 """The board with its linked image: a chip, a processor, and what is at its pins (docs/firmware.md).
 
 Pins are those of docs/bench.md. Edges and scans of a cycle come at its read, when the rig has them.
+In the loop code and conversions take no time; a board that `takes_time` has them take theirs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.firmware.board import Analogue, Failure
 from meshpoint.testbench.firmware.cortex_m4.chip import PAGES, Chip, Outside
+from meshpoint.testbench.firmware.cortex_m4.iwdg import LSI_HZ
 from meshpoint.testbench.firmware.cortex_m4.processor import Processor
 from meshpoint.testbench.firmware.cortex_m4.rcc import BROWN_OUT_RESET, PIN_RESET
 from meshpoint.testbench.firmware.cortex_m4.registers import WORD
 from meshpoint.testbench.firmware.elf import segments
 
+US_PER_S: Final = 1_000_000
 SENSOR_CLOCK: Final = ("TIM2", "TIM3")
 WHEELS: Final = (("A", 0), ("B", 10), ("A", 6), ("B", 0))
 WHEEL_LEVELS: Final = (("A", 7), ("C", 4), ("C", 5), ("A", 4))
@@ -23,6 +27,8 @@ SLEEVES: Final = (("C", 0), ("C", 1), ("C", 2), ("C", 3))
 SLOW: Final = (("B", 1), ("B", 11), ("B", 12), ("A", 1))
 VALVES: Final = (*(("C", pin) for pin in range(6, 13)), ("B", 13), ("B", 14))
 CLUTCH: Final = ("B", 15)
+SOURCES_OHM: Final = dict.fromkeys((*SLEEVES, *SLOW), 1_000) | dict.fromkeys(WHEEL_LEVELS, 2_200)
+"""What lies before each analogue pin at the most."""
 RANGES: Final = ((0, 50_000), (0, 50_000), (4_000, 30_000), (0, 10_000))
 SLEEVE_RANGE: Final = (-20_000, 20_000)
 """Of each transmitter in steps of the wire, over 10 to 90 % of full scale."""
@@ -37,10 +43,17 @@ AWAY_US: Final = 1_000_000
 class EmulatedBoard:
     """As `Board`. CommandError where the image uses a register as it must not be used."""
 
-    def __init__(self, elf: bytes, *, is_free: bool = False) -> None:
+    def __init__(
+        self, elf: bytes, *, is_free: bool = False, takes_time: bool = False, lsi_hz: int = LSI_HZ
+    ) -> None:
         """elf: the image. is_free: TIM6 triggers the scans as it comes round, and not `read`, and
-        each instruction is counted."""
-        self.processor = Processor(segments(elf), PAGES, counts=is_free)
+        each instruction is counted. takes_time: the same, and instructions take their cycles, at
+        the most that they can be, and conversions their time. lsi_hz: of the watchdog's
+        oscillator."""
+        is_free = is_free or takes_time
+        self.processor = Processor(
+            segments(elf), PAGES, counts=is_free, spend=self._spend if takes_time else None
+        )
         self.is_on = False
         self.resets = self.coils_together = self.own_us = self.driven = 0
         self.clutch: bool | None = None
@@ -48,13 +61,17 @@ class EmulatedBoard:
         """Own time in us and the valves driven, as they were switched."""
         self.outputs: list[tuple[int, tuple[str, int], bool]] = []
         """As timers have switched pins: own time in us, port and pin, level."""
-        self.voltages = dict.fromkeys(WHEEL_LEVELS, LOWEST)
-        """At port and pin, 65,520 is full scale; of the wheels' lines, good ones."""
+        self.voltages = dict.fromkeys(WHEEL_LEVELS, LOWEST) | dict.fromkeys(
+            (*SLEEVES, *SLOW), (LOWEST + HIGHEST) // 2
+        )
+        """At port and pin, 65,520 is full scale; good ones."""
         self._preset = 0
         self._is_bus_dead = False
+        self._edges: deque[tuple[int, int]] = deque()
+        self._until_us = self._cycles = 0  # the processor may run so long; what is left of a us
         self._outside = Outside(
             self.processor.read_memory, self.processor.write_memory, self.voltages,
-            self._on_output, self._on_timer, is_free,
+            self._on_output, self._on_timer, is_free, takes_time, lsi_hz, SOURCES_OHM,
         )  # fmt: skip
         self.chip = Chip(self._outside, 0, PIN_RESET | BROWN_OUT_RESET)
 
@@ -77,12 +94,19 @@ class EmulatedBoard:
 
     def advance(self, for_us: int) -> None:
         """Idle time is skipped to the next event."""
-        end_us = self.own_us + for_us
+        self._until_us = end_us = self.own_us + for_us
+        self._run()  # what time has ended in the middle of
         while (at_us := self.chip.next_us) is not None and at_us <= end_us:
             self._go_to(max(at_us, self.own_us))
             self.chip.step()
             self._run()
-        self._go_to(end_us)
+        self._go_to(max(end_us, self.own_us))
+
+    def _come(self) -> None:
+        """The edges that are due, each at what its timer counted then."""
+        while self._edges and self._edges[0][0] <= self.own_us:
+            at_us, channel = self._edges.popleft()
+            self.capture(channel, [self.chip.timers["TIM2"].count(at_us)])
 
     def receive(self, frame: Frame) -> None:
         """Into the CAN controller, where its pins are set up."""
@@ -94,6 +118,10 @@ class EmulatedBoard:
         """Through the timer that captures them, at these counts."""
         self.chip.edges(WHEELS[channel // 2], rising=channel % 2 == 0, counts=stamps_us)
 
+    def pulse(self, channel: int, at_us: Iterable[int]) -> None:
+        """Edges of a channel that come at these own times, which lie ahead."""
+        self._edges = deque(sorted((*self._edges, *((each, channel) for each in at_us))))
+
     def read(self, analogue: Analogue) -> None:
         """Ten scans, the oldest first, each by a trigger of the ADCs."""
         for pin, value, (low, high) in zip(SLOW, analogue.slow, RANGES, strict=True):
@@ -102,7 +130,7 @@ class EmulatedBoard:
             for place, um in enumerate(samples):
                 is_bad = analogue.bad_sleeves >> place & 1
                 self.voltages[SLEEVES[place]] = BROKEN if is_bad else _voltage(um, *SLEEVE_RANGE)
-            self.chip.scan()
+            self.chip.scan(self.own_us - self.chip.adcs["ADC1"].middle_us(SLEEVES))
         self._run()
 
     def take_sent(self) -> list[Frame]:
@@ -150,6 +178,18 @@ class EmulatedBoard:
 
     def _go_to(self, now_us: int) -> None:
         self.own_us = self.chip.now_us = now_us
+        if self._edges:
+            self._come()
+
+    def _spend(self, cycles: int) -> bool:
+        """The processor takes time; whether what there was of it is over."""
+        self._cycles += cycles
+        per_us = self.chip.rcc.hclk_hz // US_PER_S
+        while self._cycles >= per_us:
+            self._cycles -= per_us
+            self._go_to(self.own_us + 1)
+            self.chip.step()
+        return self.own_us >= self._until_us
 
     def _run(self) -> None:
         """Lets the processor do what there is, and the CAN controller send, until both rest."""

@@ -1,7 +1,8 @@
 """The CAN FD controller (RM0440, chapter FDCAN): frames in and out, message RAM, bus-off.
 
 A frame takes no time on its bus: the bus of the bench gives it one. What is requested is sent as
-the processor has come to rest, so that a transmit FIFO can be full.
+the processor has come to rest, so that all transmit buffers can be full; they are a FIFO, or a
+queue that sends the lowest identifier first.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from meshpoint.testbench.firmware.cortex_m4.registers import Peripheral, Registe
 
 DBTP, CCCR, NBTP, ECR, PSR, TDCR = 0x0C, 0x18, 0x1C, 0x40, 0x44, 0x48
 IR, IE, ILS, ILE, RXGFC, RXF0S, RXF0A = 0x50, 0x54, 0x58, 0x5C, 0x80, 0x90, 0x94
-TXBC, TXFQS, TXBRP, TXBAR, TXBTO, TXBTIE, CKDIV = 0xC0, 0xC4, 0xC8, 0xCC, 0xD4, 0xDC, 0x100
+TXBC, TXFQS, TXBRP, TXBAR, TXBCR, TXBTO = 0xC0, 0xC4, 0xC8, 0xCC, 0xD0, 0xD4
+TXBCF, TXBTIE, CKDIV = 0xD8, 0xDC, 0x100
+IS_QUEUE: Final = 1 << 24
+"""Of TXBC: TFQM."""
 INIT, CCE, FDOE, BRSE = 1, 2, 1 << 8, 1 << 9
 BUS_OFF: Final = 1 << 7
 RF0N, RF0F, RF0L, TC, TFE, BO = 1, 1 << 1, 1 << 2, 1 << 7, 1 << 9, 1 << 19
@@ -68,13 +72,13 @@ class Fdcan(Peripheral):
         RXGFC: Register("RXGFC", 0x0F1F_033F),
         RXF0S: Register("RXF0S", 0),
         RXF0A: Register("RXF0A", 7),
-        TXBC: Register("TXBC", 1 << 24),
+        TXBC: Register("TXBC", IS_QUEUE),
         TXFQS: Register("TXFQS", 0),
         TXBRP: Register("TXBRP", 0),
         TXBAR: Register("TXBAR", 7),
-        0xD0: Register("TXBCR", 0),
+        TXBCR: Register("TXBCR", 7),
         TXBTO: Register("TXBTO", 0),
-        0xD8: Register("TXBCF", 0),
+        TXBCF: Register("TXBCF", 0),
         TXBTIE: Register("TXBTIE", 7),
         CKDIV: Register("CKDIV", 0),
     }
@@ -94,6 +98,8 @@ class Fdcan(Peripheral):
         """What has gone onto the bus; whoever takes it empties it."""
         self.is_bus_dead = False
         """A fault put in: the bus is shorted, and bus-off cannot be left."""
+        self.is_alone = False
+        """A fault put in: nobody acknowledges, and what is sent is sent again for ever."""
         self.next_us: int | None = None
         """When bus-off is over."""
 
@@ -115,17 +121,18 @@ class Fdcan(Peripheral):
         self._raise(RF0N | (RF0F if self._fill == FIFO else 0))
 
     def transmit(self) -> bool:
-        """Sends what is requested, in the order of the FIFO; whether there was something."""
-        if not self.value[TXBRP] or not self.is_on_bus:
+        """Sends what is requested, in the order of FIFO or queue; whether there was something."""
+        if not self.value[TXBRP] or not self.is_on_bus or self.is_alone:
             return False
         flags = TFE
         while self.value[TXBRP]:
-            buffer = self._send
+            buffer = self._lowest() if self.value[TXBC] & IS_QUEUE else self._send
             self.sent.append(self._load(TRANSMIT + ELEMENT * buffer))
             self._send = (buffer + 1) % FIFO
             self.value[TXBRP] &= ~(1 << buffer)
             self.value[TXBTO] |= 1 << buffer
             flags |= TC if self.value[TXBTIE] >> buffer & 1 else 0
+        self._find_free()
         self._raise(flags)
         return True
 
@@ -150,6 +157,8 @@ class Fdcan(Peripheral):
             return self._fill | self._get << 8 | put << 16 | (self._fill == FIFO) << 24
         if offset == TXFQS:
             free = FIFO - self.value[TXBRP].bit_count()
+            if self.value[TXBC] & IS_QUEUE:
+                return self._put << 16 | (not free) << 21
             return free | self._send << 8 | self._put << 16 | (not free) << 21
         return super().read(offset, now_us)
 
@@ -163,6 +172,8 @@ class Fdcan(Peripheral):
             self._acknowledge(value)
         elif offset == TXBAR:
             self._request(value)
+        elif offset == TXBCR:
+            self._cancel(value)
         else:
             control = self.value[CCCR]
             if offset in PROTECTED and not (control & INIT and control & CCE):
@@ -208,12 +219,35 @@ class Fdcan(Peripheral):
         for buffer in range(FIFO):
             if not value >> buffer & 1:
                 continue
-            if buffer != self._put or self.value[TXBRP] >> buffer & 1:
+            is_next = buffer == self._put or self.value[TXBC] & IS_QUEUE
+            if not is_next or self.value[TXBRP] >> buffer & 1:
                 raise self.error(TXBAR, f"buffer {buffer} is requested; next is {self._put}, and "
                                         f"TXBRP is {self.value[TXBRP]}")  # fmt: skip
             self.value[TXBRP] |= 1 << buffer
             self.value[TXBTO] &= ~(1 << buffer)
+            self.value[TXBCF] &= ~(1 << buffer)
             self._put = (buffer + 1) % FIFO
+            self._find_free()
+
+    def _cancel(self, value: int) -> None:
+        if not self.value[TXBC] & IS_QUEUE:
+            raise self.error(TXBCR, "is written while TXBC.TFQM is 0: a FIFO is not for that")
+        if self.value[CCCR] & CCE:
+            raise self.error(TXBCR, "is written while CCCR has CCE")
+        self.value[TXBCF] |= self.value[TXBRP] & value
+        self.value[TXBRP] &= ~value
+        self._find_free()
+
+    def _find_free(self) -> None:
+        """A queue is filled where the first buffer is free."""
+        if self.value[TXBC] & IS_QUEUE:
+            free = [i for i in range(FIFO) if not self.value[TXBRP] >> i & 1]
+            self._put = free[0] if free else 0
+
+    def _lowest(self) -> int:
+        """The buffer whose frame is first by its identifier, of equal ones the lower buffer."""
+        pending = [i for i in range(FIFO) if self.value[TXBRP] >> i & 1]
+        return min(pending, key=lambda i: (self._load(TRANSMIT + ELEMENT * i).can_id, i))
 
     def _acknowledge(self, index: int) -> None:
         """Gives back all elements up to this one."""

@@ -16,7 +16,8 @@ LARGEST: Final = 0xFFF
 
 class Iwdg(Peripheral):
     """Counts down from RLR; at its end, or reloaded above WINR, it resets the chip. Its prescaler
-    begins with each reload here; on silicon it runs freely, and the time may be one count less."""
+    begins with each reload here; on silicon it runs freely, and the time may be one count less.
+    New values of PR, RLR and WINR are there at once, and SR is 0."""
 
     TABLE: ClassVar = {
         KR: Register("KR", 0xFFFF),
@@ -26,9 +27,9 @@ class Iwdg(Peripheral):
         WINR: Register("WINR", LARGEST, reset=LARGEST),
     }
 
-    def __init__(self, reset: Callable[[], None]) -> None:
+    def __init__(self, reset: Callable[[], None], lsi_hz: int = LSI_HZ) -> None:
         super().__init__("IWDG")
-        self._reset = reset
+        self._reset, self._lsi_hz = reset, lsi_hz
         self._is_open = self._is_running = False
         self._reloaded_us = 0
         self.next_us: int | None = None
@@ -63,7 +64,7 @@ class Iwdg(Peripheral):
 
     @property
     def _count_us(self) -> int:
-        return (4 << self.value[PR]) * US_PER_S // LSI_HZ
+        return (4 << self.value[PR]) * US_PER_S // self._lsi_hz
 
     def _reload_in_window(self, now_us: int) -> None:
         left = self.value[RLR] - (now_us - self._reloaded_us) // self._count_us

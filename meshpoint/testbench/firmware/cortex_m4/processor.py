@@ -3,8 +3,8 @@
 Unicorn knows the instructions of an M-profile processor, and no exception of it: what is pushed,
 where the handler is and how it returns is done here. One that the code itself has made pending
 comes at the next ISB, as it lets interrupts in, sleeps, or returns from a handler. Code takes no
-time: one that goes on for `BUDGET` instructions without sleeping waits for something, and time has
-to go on for it.
+time, and one that goes on for `BUDGET` instructions without sleeping waits for something: time has
+to go on for it. Or its cycles are told to a clock, and exceptions come between any two blocks.
 Not modelled: process stack, floating point registers, BASEPRI, FAULTMASK, memory protection, the
 fault of a misaligned LDM or LDRD.
 """
@@ -12,7 +12,7 @@ fault of a misaligned LDM or LDRD.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from enum import Enum, auto
 from typing import Any, Final, Protocol
 
@@ -28,6 +28,7 @@ from meshpoint.testbench.firmware.cortex_m4.core_registers import (
     XPSR,
     CoreRegisters,
 )
+from meshpoint.testbench.firmware.cortex_m4.cycles import ACCESS, EXCEPTION, block_cycles
 from meshpoint.testbench.firmware.cortex_m4.nvic import (
     BFAR,
     BUS_FAULT,
@@ -93,12 +94,23 @@ class Processor:
     """One processor with its memories. Its bus is given with each reset: it begins anew."""
 
     def __init__(
-        self, segments: Iterable[tuple[int, bytes]], pages: Iterable[range], *, counts: bool
+        self,
+        segments: Iterable[tuple[int, bytes]],
+        pages: Iterable[range],
+        *,
+        counts: bool,
+        spend: Callable[[int], bool] | None = None,
     ) -> None:
         """segments: what is in flash. pages: where there are registers. counts: whether
         instructions are counted behind the first sleep too, which makes them three times as slow;
-        else a loop there that waits is known by a branch to itself alone."""
-        self._counts = counts
+        else a loop there that waits is known by a branch to itself alone.
+
+        spend: where code takes time, told of the cycles before they are spent; whether time is at
+        its end, so that nothing more may be done now."""
+        self._counts, self._spend = counts, spend
+        self._block_cycles: dict[tuple[int, int], int] = {}
+        self._paid = 0  # the block that time has ended before: its cycles are spent
+        self._is_out_of_time = False
         unicorn, arm = needed("unicorn", EXTRA), needed("unicorn.arm_const", EXTRA)
         self._fault = unicorn.UcError
         self._is_instruction_fault = unicorn.UC_ERR_INSN_INVALID
@@ -115,10 +127,13 @@ class Processor:
             map_registers(self.unicorn, page, self._read, self._write) for page in pages
         ]
         self._core = CoreRegisters(self.unicorn)
+        self._primask = arm.UC_ARM_REG_PRIMASK
         self._wakes_at: set[int] = set()  # behind each WFI
         self._handlers: dict[int, int] = {}
         self.unicorn.hook_add(unicorn.UC_HOOK_INTR, self._on_exception)
         self.unicorn.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._on_bad_access)
+        if spend is not None:
+            self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._on_block)
         for address, content in segments:
             self.unicorn.mem_write(address, content)
             self.unicorn.mem_write(address - FLASH.start, content)
@@ -139,7 +154,7 @@ class Processor:
         """Begins at the reset vector. The memories keep what they have."""
         self._bus, self._nvic = bus, bus.nvic
         self.state, self._is_stuck, self._error = State.RUNS, False, None
-        self._budget = BUDGET
+        self._budget = 0 if self._spend else BUDGET
         stack, entry = struct.unpack("<2I", self.read_memory(self._nvic.vector(0), 8))
         values = self._core.values
         values[LR], values[XPSR], values[SP], values[PRIMASK] = WORD, THUMB, stack & ~3, 0
@@ -149,9 +164,10 @@ class Processor:
     def run(self) -> None:
         """Goes on until it sleeps, or waits without sleeping. CommandError: a register is used
         as it must not be."""
+        self._is_out_of_time = False
         for _ in range(MOST_ENTRIES):
             number = self._nvic.due()
-            if self.state is State.LOCKED or self._bus.reset_by:
+            if self.state is State.LOCKED or self._bus.reset_by or self._is_out_of_time:
                 return
             if number and self.state is State.SLEEPS:
                 self.state = State.RUNS  # with PRIMASK set it wakes as well, and serves nothing
@@ -221,6 +237,8 @@ class Processor:
         is_nested = bool(self._nvic.active)
         self._nvic.enter(number)
         self._go_to_handler(number, RETURN_TO_HANDLER if is_nested else RETURN_TO_THREAD)
+        if self._spend:
+            self._is_out_of_time = self._spend(EXCEPTION)
 
     def _go_to_handler(self, number: int, link: int) -> None:
         core = self._core.values
@@ -277,6 +295,8 @@ class Processor:
         self.unicorn.emu_stop()
 
     def _read(self, address: int, size: int) -> int:
+        if self._spend:
+            self._spend(ACCESS)  # between two registers that a block reads time goes on
         try:
             return self._bus.read(address, size)
         except RegisterError as error:
@@ -311,6 +331,24 @@ class Processor:
     def _on_waiting(self, _uc: Any, _address: int, _size: int, _data: Any) -> None:
         """At a branch to itself: nothing comes of it but time."""
         self.unicorn.emu_stop()
+
+    def _on_block(self, _uc: Any, address: int, size: int, _data: Any) -> None:
+        """Before a block is executed: its time goes on, unless an exception comes first."""
+        if address != self._started_at and self._nvic.due() and not self._is_masked():
+            self._stop()
+            return
+        key = address, size
+        cycles = self._block_cycles.get(key)
+        if cycles is None:
+            cycles = self._block_cycles[key] = block_cycles(self.read_memory(address, size))
+        paid, self._paid = self._paid, 0
+        is_over = self._spend is not None and paid != address and self._spend(cycles)
+        if is_over or self._bus.reset_by:
+            self._paid, self._is_out_of_time = address, True
+            self._stop()
+
+    def _is_masked(self) -> bool:
+        return bool(self.unicorn.reg_read(self._primask))
 
     def _on_let_in(self, _uc: Any, address: int, _size: int, _data: Any) -> None:
         """Behind an instruction that lets exceptions in: what waits comes now."""

@@ -16,6 +16,7 @@ CR1, CR2, SMCR, DIER, SR, EGR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
 CCMR1, CCMR2, CCER, CNT, PSC, ARR, CCR1 = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C, 0x34
 CEN, UDIS, URS, OPM = 1, 1 << 1, 1 << 2, 1 << 3
 UPDATE, TRIGGER = 1, 1 << 6
+UPDATE_DMA: Final = 1 << 8
 CAPTURE_DMA: Final = 1 << 8
 """Of DIER, shifted by the unit."""
 ON_RESET, ON_ENABLE, ON_UPDATE = 0, 1, 2
@@ -32,7 +33,7 @@ INTERRUPTS: Final = 0x5F
 BASIC: Final = {
     CR1: Register("CR1", 0x088F),
     CR2: Register("CR2", 0x70),
-    DIER: Register("DIER", 1),
+    DIER: Register("DIER", UPDATE_DMA | 1),
     SR: Register("SR", 1),
     EGR: Register("EGR", 1),
     CNT: Register("CNT", 0xFFFF),
@@ -76,6 +77,11 @@ class Timer(Peripheral):
     def is_running(self) -> bool:
         """Whether it counts."""
         return bool(self.value[CR1] & CEN)
+
+    @property
+    def asks_dma(self) -> bool:
+        """Whether its update is a request for DMA."""
+        return bool(self.value[DIER] & UPDATE_DMA)
 
     def count(self, now_us: int) -> int:
         """The counter."""

@@ -1,0 +1,51 @@
+"""`meshpoint controller` on a bus on which another controller is at work."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from meshpoint.bus.frames import message_of
+from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.dbc.link import Transmitter
+from meshpoint.dbc.messages import ControllerStatus
+from meshpoint.dbc.node import Node
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.exits import Exit
+
+
+@pytest.fixture
+def channel() -> Iterator[str]:
+    """A bus of its own, on which another controller reports its steps; a socket's path must be
+    short."""
+    folder = tempfile.mkdtemp(prefix="mp2-")
+    name = f"unix:{folder}/bus.sock"
+    ending, other = threading.Event(), Transmitter(Node.TRANSMISSION_CONTROL)
+
+    def report() -> None:
+        with MeshpointBus(name) as bus:
+            ready.set()
+            while not ending.wait(0.01):
+                bus.send(message_of(other.encode(ControllerStatus())))
+
+    ready = threading.Event()
+    at_work = threading.Thread(target=report)
+    at_work.start()
+    ready.wait()
+    yield name
+    ending.set()
+    at_work.join()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def test_the_newcomer_says_why_it_leaves_and_ends_with_1(
+    channel: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["controller", "--quiet", "-i", "meshpoint", "-c", channel]) == Exit.FAILED
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith("meshpoint controller: another controller is at work on this bus")
+    assert "--shadow" in said
