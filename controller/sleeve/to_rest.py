@@ -11,13 +11,12 @@ import numpy as np
 from meshpoint.controller.sleeve.cylinder import TO_REST
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
-from meshpoint.controller.sleeve.stopping import RESTS_US
+from meshpoint.controller.sleeve.stopping import RESTS_US, SURE
 from meshpoint.kernels.records import Vector
 
 LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
 NEAR_NEUTRAL_M: Final = 1e-3
-SURE: Final = 2.5
 BAD_AT: Final = (0.6, 0.8, 1.0)
 """Shares of a pulse's length at which the bad side is looked for: where its detent holds a sleeve,
 or friction does not let it go yet, nothing changes how far it gets."""
@@ -47,7 +46,7 @@ def pulse_to_neutral_us(sleeve: DrivenSleeve, direction: int, on_us: int) -> int
             return direction * rests_at_m(sleeve, on_us, pulse) <= level_m
 
         ends_us.append(_longest_us(is_short, LONGEST_PULL_US))
-    return sum(ends_us) // 2
+    return (ends_us[0] + ends_us[1]) // 2
 
 
 def sure_pulse_us(sleeve: DrivenSleeve, direction: int, on_us: int, most_us: int) -> int:

@@ -150,7 +150,7 @@ class TrackedSleeve(DrivenSleeve):
             self._settle(track)
 
     def _reaches(self, track: SleeveTrack, count: int) -> int:
-        """The side on which it comes to teeth within so many of the newest samples."""
+        """The side on which it comes to teeth within this count of the newest samples."""
         level_m = self.law.face_m - AT_TEETH_M
         places_m = [self.place_of(reading) for reading in track.samples_m[: count + 1]]
         for direction in (-1, 1):

@@ -1,90 +1,52 @@
-"""No sleeve meets its gear at a slip outside row 3's window while the driveline swings: between a
-firing and its contact the main shaft's speed changes by 60 rpm and more."""
+"""A sleeve that is thrown through neutral onto the opposite gear: rig, shift and row say so."""
 
 from __future__ import annotations
 
-import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, ShiftResult
+from meshpoint.dbc.messages import FaultCode, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.loop.bench_builder import tick_phases
-from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT
-from meshpoint.units import RPM
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.shared.engagement import Violation
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 
-THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
-CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
-DOUBT_RPM = 10.0
+TRUCK12 = load_sheet("truck12")
+REQUEST_US = 300_000
+PATIENCE_US = 6_000_000
 
 
-def shifts_at_1060_rpm(seed: int, shifts: int) -> Loop:
+def shifted(late_ms: float) -> Loop:
+    """6 to 8, the valve that pulls third out slow to shut."""
     loop = Loop(
-        shifts=shifts, seed=seed, sheet=TRUCK12, preset=Preset.TRUCK, profile=Profile.HARSH,
-        pairs=((8, 9), (9, 8), (8, 6), (6, 8)), layshaft_rad_s=1060.0 * RPM,
-        phases_us=tick_phases(seed),
-    )  # fmt: skip
-    return loop.run(shifts * LIMIT_US_PER_SHIFT)
-
-
-def in_the_window(slip_rpm: float) -> bool:
-    guard = ControllerSettings().guard
-    return (
-        guard.slip_low_rad_s / RPM - DOUBT_RPM
-        <= slip_rpm
-        <= guard.slip_high_rad_s / RPM + DOUBT_RPM
+        [(REQUEST_US, 8)], sheet=TRUCK12, preset=Preset.TRUCK, start_gear=6, toward=8, seed=3
     )
+    loop.run(REQUEST_US)
+    if late_ms:
+        loop.fault(RigFault.VALVE_SLOW_OFF, Valve.MAIN_CRAWL, late_ms, 800_000)
+    assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
+    return loop
 
 
-def slips_rpm(loop: Loop) -> list[float]:
-    """Of every contact that the controller made."""
-    events, slips = loop.of(ReferenceEngagement), []
-    for event in events:
-        if event.event is EngagementEvent.READY:
-            slips.pop()  # the bench's, just before
-        elif event.event in CONTACTS:
-            slips.append(event.slip_rad_s / RPM)
-    return slips
+def row_of(loop: Loop) -> ShiftRow:
+    """What a table has of the only shift."""
+    rows = RowCollector(TRUCK12)
+    for _, message in loop.messages:
+        rows.take(message)
+    (row,) = rows.rows
+    return row
 
 
-@pytest.mark.long
-def test_sleeves_are_taken_back_while_the_driveline_swings_out_of_the_window() -> None:
-    """Without the last call the main shaft swings away from a sleeve that is under way, and meets
-    it at 136 rpm and more. What it does after the last call nobody foresees: of 100 contacts of
-    harsh gearboxes one or two lie outside."""
-    loops = [shifts_at_1060_rpm(seed, shifts=3) for seed in range(1, 15)]
-    slips = [slip for loop in loops for slip in slips_rpm(loop)]
-    assert len(slips) >= 42
-    outside = [slip for slip in slips if not in_the_window(slip)]
-    assert len(outside) <= 1, outside
-    results = [outcome.result for loop in loops for outcome in loop.outcomes]
-    assert results.count(ShiftResult.ENGAGED) >= 41
+def test_a_sleeve_thrown_onto_the_opposite_gear_is_said_by_rig_shift_and_row() -> None:
+    loop = shifted(30.0)
+    outcome, row = loop.outcomes[0], row_of(loop)
+    assert loop.rig_core.truth.violations == {Violation.SLIP_AT_CONTACT: 1}
+    assert (outcome.result, outcome.fault) == (ShiftResult.ENGAGED, FaultCode.SLIP_AT_CONTACT)
+    assert (row.fault, row.outside_window) == ("slip_at_contact", 1)
 
 
-def test_a_main_shaft_that_falls_back_through_its_backlash_meets_no_sleeve() -> None:
-    """From gear 4 to 6 of a truck as they are built: pulled out of gear, the main shaft springs up
-    by 200 rpm, and begins to fall back as the sleeve is under way: it would meet its gear at 154
-    rpm."""
-    drawn = draw(922, TRUCK12, Preset.TRUCK, upshifts(), 14, {}, Profile.TYPICAL)
-    row = ClosedLoop(TRUCK12, ControllerSettings(), Preset.TRUCK, drawn).shift()
-    assert row is not None
-    assert row.result == "engaged"
-    assert row.slip_rpm is not None
-    assert in_the_window(row.slip_rpm)
-
-
-@pytest.mark.parametrize("seed", [5, 8, 9])
-def test_the_first_pull_of_a_gearbox_whose_cylinders_nobody_stated_ends_in_neutral(
-    seed: int,
-) -> None:
-    """Its detents, pipes and vents are taken to be the usual ones; it does not fly on to the
-    opposite gear, which turns 430 rpm too fast."""
-    loop = Loop([(300_000, 10)], sheet=THESIS, preset=Preset.TRUCK, seed=seed).run(1_600_000)
-    assert [outcome.result for outcome in loop.outcomes] == [ShiftResult.ENGAGED]
-    slips = slips_rpm(loop)
-    assert slips
-    assert all(in_the_window(slip) for slip in slips), slips
-    assert loop.status.guard_blocks == 0
+def test_a_shift_without_a_fault_meets_no_gear_outside_the_window() -> None:
+    loop = shifted(0.0)
+    assert loop.violations == 0
+    assert loop.outcomes[0].fault is FaultCode.NONE
+    assert row_of(loop).outside_window == 0

@@ -28,8 +28,8 @@ CONVERTED_IN: Final = 25
 MOST_OHM: Final = (
     (208, 470), (408, 1_200), (791, 1_800), (1_541, 3_900), (4_125, 10_000), (10_675, 33_000),
 )  # fmt: skip
-"""An input sampled for so many ns wants no more than this source before it, to settle to half a
-step of 12 bits: data sheet of the STM32G474, maximum ADC RAIN, slow channels."""
+"""An input sampled for this number of ns wants no more than this source before it, to settle to
+half a step of 12 bits: data sheet of the STM32G474, maximum ADC RAIN, slow channels."""
 NS_PER_S, US_PER_S = 1_000_000_000, 1_000_000
 
 

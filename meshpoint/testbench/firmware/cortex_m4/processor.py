@@ -4,7 +4,7 @@ Unicorn knows the instructions of an M-profile processor, and no exception of it
 where the handler is and how it returns is done here. One that the code itself has made pending
 comes at the next ISB, as it lets interrupts in, sleeps, or returns from a handler. Code takes no
 time, and one that goes on for `BUDGET` instructions without sleeping waits for something: time has
-to go on for it. Or its cycles are told to a clock, and exceptions come between any two blocks.
+to go on for it. Or its cycles are reported to a clock, and exceptions come between any two blocks.
 Not modelled: process stack, floating point registers, BASEPRI, FAULTMASK, memory protection, the
 fault of a misaligned LDM or LDRD.
 """
@@ -105,8 +105,8 @@ class Processor:
         instructions are counted behind the first sleep too, which makes them three times as slow;
         else a loop there that waits is known by a branch to itself alone.
 
-        spend: where code takes time, told of the cycles before they are spent; whether time is at
-        its end, so that nothing more may be done now."""
+        spend: where code takes time, called with the cycles before they are spent; whether time
+        is at its end, so that nothing more may be done now."""
         self._counts, self._spend = counts, spend
         self._block_cycles: dict[tuple[int, int], int] = {}
         self._paid = 0  # the block that time has ended before: its cycles are spent
