@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -174,9 +174,15 @@ dbc: $(VENV)/test.stamp
 	$(BIN)/python tests/dbc/test_frozen_contract.py
 	$(MAKE) reference
 
-# docs/figures.toml into the documents that show its figures; NAME=typical: measures that one again first.
+# docs/figures.toml into the documents that show its figures, and of what code they are: to be run after
+# each change of that code, too; NAME=typical: measures that one again first.
 figures: $(VENV)/test.stamp
 	$(BIN)/python tools/figures.py $(NAME)
+
+# Measures all again whose code has changed since, one after the other, and names those that are entered by
+# hand. Two to three hours on two processors, most of it swarm_longest on one; interrupted, it goes on.
+figures-all: kernels
+	$(BIN)/python tools/figures.py --all
 
 # locks/, after a change to constraints.txt or to the dependencies
 locks:

@@ -35,6 +35,7 @@ SETTINGS = "studies.toml"
 VERDICT_WORDS: dict[ThesisVerdict, str | Text] = {
     ThesisVerdict.AGREES: Text("agrees", "green"),
     ThesisVerdict.DIFFERS: Text("differs", "red"),
+    ThesisVerdict.BY_CONSTRUCTION: "by construction",
     ThesisVerdict.NOT_COMPARABLE: "not comparable",
 }
 MAX_WORKERS = 64

@@ -126,10 +126,11 @@ def _friction(at: dict[str, float], own: Settings, sheet: GearboxSheet) -> State
     return Statement(
         f"an error of c within 10 % costs less than {LIMIT_PCT:g} % of a pitch",
         f"{at[C]:.2f} % at +-{100 * own.compared_share:g} %",
-        ThesisVerdict.AGREES if within else ThesisVerdict.DIFFERS,
+        ThesisVerdict.BY_CONSTRUCTION if within else ThesisVerdict.DIFFERS,
         f"the effect goes with c times speed: with c = {c:g} Nms it is {1 / share:.2f} times the "
         f"limit, which holds up to about c = {c * share:.3f} Nms at this speed. The thesis does "
-        "not give its c; `speed_estimate` and `angle_estimate` have the same value",
+        "not give its c, and this one was chosen to meet the limit; `speed_estimate` and "
+        "`angle_estimate` have the same value",
     )
 
 

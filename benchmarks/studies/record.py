@@ -25,6 +25,8 @@ class ThesisVerdict(Enum):
 
     AGREES = True
     DIFFERS = False
+    BY_CONSTRUCTION = "by construction"
+    """It agrees, and had to: rig, data sheet or study was given the figure that is read out."""
     NOT_COMPARABLE = "not comparable"
 
 
@@ -106,9 +108,13 @@ class Finding:
 
     @property
     def verdict(self) -> ThesisVerdict:
-        """Differs where any statement does; else agrees where any does."""
+        """Differs where any statement does; else agrees where any does that could have differed."""
         verdicts = {statement.verdict for statement in self.statements}
-        for verdict in (ThesisVerdict.DIFFERS, ThesisVerdict.AGREES):
+        for verdict in (
+            ThesisVerdict.DIFFERS,
+            ThesisVerdict.AGREES,
+            ThesisVerdict.BY_CONSTRUCTION,
+        ):
             if verdict in verdicts:
                 return verdict
         return ThesisVerdict.NOT_COMPARABLE

@@ -52,8 +52,9 @@ def _by_gear(
     first = Statement(
         "the error scales with the gear; aiming is easiest on crawl and first gear (7.3)",
         f"from easiest to hardest: {', '.join(order)}",
-        ThesisVerdict.AGREES if tuple(order[:2]) == EASY else ThesisVerdict.DIFFERS,
-        "a gear turns i_gear times the layshaft's angle, and i_gear rises from crawl to third",
+        ThesisVerdict.BY_CONSTRUCTION if tuple(order[:2]) == EASY else ThesisVerdict.DIFFERS,
+        "a gear turns i_gear times the layshaft's angle, and the data sheet's i_gear rises from "
+        "crawl to third",
     )
     easiest, hardest = costs[MAIN_GEARS[0]], costs[MAIN_GEARS[-1]]
     second = Statement(

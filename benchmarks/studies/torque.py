@@ -52,9 +52,10 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"a step at the valve gives {THESIS_NM:.0f} Nm at the supply's full pressure, after the "
         "valve's delay",
         f"{most_nm:.2f} Nm after {own.until_ms} ms; first reaction after {first_ms:.1f} ms",
-        ThesisVerdict.AGREES if near else ThesisVerdict.DIFFERS,
+        ThesisVerdict.BY_CONSTRUCTION if near else ThesisVerdict.DIFFERS,
         f"C_db = T_max / p_max (4.4) makes the end value the sheet's {sheet.brake.max_torque_nm:g} "
-        "Nm by construction; delay and time constant are the sheet's, the thesis gives neither",
+        "Nm, which are the thesis's; delay and time constant are the sheet's, the thesis gives "
+        "neither",
     )
     chart = Chart(
         "torque",

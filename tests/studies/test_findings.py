@@ -14,7 +14,7 @@ from benchmarks.studies import hardware_trucks, prediction
 from benchmarks.studies.equipment import Equipment, EquippedRun
 from benchmarks.studies.excitation import BrakePoint, Figures, figures, matched
 from benchmarks.studies.hardware import Bought, certainty
-from benchmarks.studies.jobs import ShiftErrors
+from benchmarks.studies.jobs import Delay, LoopResult, ShiftErrors
 from benchmarks.studies.record import Finding, Given, Statement, ThesisVerdict
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
@@ -37,7 +37,7 @@ def conclude(name: str, **changed: Any) -> Finding:
 def test_zero_order_hold_equals_the_rig_and_a_predictor_that_is_not_it_is_found_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert conclude("hold").statements[0].verdict is ThesisVerdict.AGREES
+    assert conclude("hold").statements[0].verdict is ThesisVerdict.BY_CONSTRUCTION
 
     def wrong(state: LayshaftState, to_us: float, *_: Any) -> LayshaftState:
         return predict_linear(state, to_us)
@@ -47,7 +47,7 @@ def test_zero_order_hold_equals_the_rig_and_a_predictor_that_is_not_it_is_found_
 
 
 def test_friction_costs_too_much_in_our_gearbox_and_not_in_one_that_turns_more_easily() -> None:
-    assert conclude("parameters").statements[1].verdict is ThesisVerdict.AGREES
+    assert conclude("parameters").statements[1].verdict is ThesisVerdict.BY_CONSTRUCTION
     common = replace(given("parameters").common, friction_nms=SHEET.shafts.friction_nms)
     assert conclude("parameters", common=common).statements[1].verdict is ThesisVerdict.DIFFERS
 
@@ -69,8 +69,31 @@ def test_no_slip_is_ascribed_to_the_thesis_that_it_does_not_give() -> None:
 
 def test_a_gearbox_whose_brake_is_weaker_does_not_reach_the_thesis_s_torque() -> None:
     weak = replace(SHEET, brake=replace(SHEET.brake, max_torque_nm=80.0))
-    assert conclude("torque").verdict is ThesisVerdict.AGREES
+    assert conclude("torque").verdict is ThesisVerdict.BY_CONSTRUCTION
     assert conclude("torque", sheet=weak).verdict is ThesisVerdict.DIFFERS
+
+
+@pytest.mark.parametrize(
+    ("name", "statement"), [("torque", 0), ("delay_error", 0), ("parameters", 1), ("hold", 0),
+                            ("start_angle", 0), ("start_speed", 0)]
+)  # fmt: skip
+def test_what_rig_sheet_or_study_was_given_is_no_agreement(name: str, statement: int) -> None:
+    assert conclude(name).statements[statement].verdict is ThesisVerdict.BY_CONSTRUCTION
+
+
+def test_a_mean_delay_that_the_rig_was_given_is_no_agreement() -> None:
+    """Its cylinders are fed so that a stroke takes the sheet's 45 ms; the spread is as it comes."""
+
+    def measured(*delays_ms: float) -> tuple[ThesisVerdict, ThesisVerdict]:
+        asked = given("delay")
+        delays = [Delay(10, each, each, on_tooth=False) for each in delays_ms]
+        found = LoopResult([], {}, delays, [], [])
+        finding = conclude("delay", results=dict.fromkeys(load("delay").jobs(asked), found))
+        mean, spread = (each.verdict for each in finding.statements)
+        return mean, spread
+
+    assert measured(44.0, 46.0) == (ThesisVerdict.BY_CONSTRUCTION, ThesisVerdict.AGREES)
+    assert measured(38.0, 40.0) == (ThesisVerdict.DIFFERS, ThesisVerdict.DIFFERS)
 
 
 def test_early_contact_costs_more_than_late_because_the_brake_still_acts() -> None:
@@ -140,7 +163,9 @@ def test_a_wheel_s_mean_tooth_offset_is_no_error_of_its_angle() -> None:
     ("verdicts", "overall"),
     [
         ((True, False, "not comparable"), False),
-        ((True, "not comparable"), True),
+        ((True, "by construction", "not comparable"), True),
+        (("by construction", "not comparable"), "by construction"),
+        ((False, "by construction"), False),
         (("not comparable",), "not comparable"),
     ],
 )

@@ -58,6 +58,32 @@ def test_every_study_is_there_and_those_named_exist() -> None:
     assert {name for name in STUDY_NAMES if load(name).of} <= named
 
 
+BY_CONSTRUCTION = {
+    "torque",
+    "delay",
+    "delay_error",
+    "parameters",
+    "start_angle",
+    "start_speed",
+    "hold",
+}
+"""The studies of which a statement has that verdict: tests/studies/test_findings.py."""
+
+
+def test_every_agreement_that_had_to_come_is_told_from_those_that_did_not() -> None:
+    rows = " ".join(cells("What a verdict is worth"))
+    assert set(re.findall(r"`(\w+)`", rows)) == BY_CONSTRUCTION
+
+
+def test_misprints_are_named_where_they_are() -> None:
+    named = set(re.findall(r"^\| (\d\.\d+)d? \| .* \| .* \| .* \|$", TEXT, re.MULTILINE))
+    assert {"4.15", "4.16", "5.1", "5.5", "5.12", "5.17"} <= named
+
+
+def test_a_shift_in_which_the_splitter_changes_too_has_a_row() -> None:
+    assert "section 6.3.2" in cells("Figures and tables")
+
+
 LIMITED = {
     "1.4", "2", "2.1", "2.3", "4.1", "4.2.1", "4.2.3", "4.5", "5.2.1", "5.4.2", "5.4.3", "6.1.2",
     "6.2", "6.4.3", "7.1", "7.2", "7.4",
