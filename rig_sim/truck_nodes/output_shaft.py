@@ -13,6 +13,7 @@ import numpy as np
 from meshpoint.rig_sim.shared.world import Vehicle
 from meshpoint.rig_sim.truck_nodes.brakes import Values
 from meshpoint.rig_sim.truck_nodes.tone_ring import drawn_ring
+from meshpoint.units import US
 
 IMPULSES: Final = 8
 """A turn: some 6,600 a kilometre, of the 4,000 to 25,000 that (EU) 2016/799 has."""
@@ -46,10 +47,10 @@ class OutputShaft:
     def tco1(self, at_us: int) -> Values:
         """The tachograph's shaft speed, vehicle speed, and whether it moves."""
         turns_s = self._ring.turns_s(at_us, TACHOGRAPH_US)
+        if turns_s == 0.0 or (turns_s is None and at_us * US >= 1.0 / LEAST_HZ):
+            self._stood_us = at_us
         if turns_s is None:
             return {}
-        if turns_s == 0.0:
-            self._stood_us = at_us
         return {
             "vehicle_motion": int(at_us - self._stood_us >= MOTION_US),
             "output_shaft_speed_rad_s": tau * turns_s,
