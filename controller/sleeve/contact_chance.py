@@ -76,10 +76,3 @@ class ContactChance:
             self.freedom *= fade
             self._squares_s2 *= fade
         return True
-
-
-def pooled_scatter_s(chances: list[ContactChance]) -> float:
-    """Standard deviation from stroke to stroke of these gears together: what is expected of a valve
-    of the same make that has not been seen."""
-    squares_s2 = math.fsum(chance.freedom * chance.scatter_s**2 for chance in chances)
-    return math.sqrt(squares_s2 / math.fsum(chance.freedom for chance in chances))

@@ -12,7 +12,7 @@ from meshpoint.controller.calibration.learned import (
 )
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
-from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance, pooled_scatter_s
+from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.cylinder import ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.law import SleeveLaw
@@ -33,7 +33,6 @@ from meshpoint.controller.sleeve.to_rest import (
     pulse_of,
     pulse_to_neutral_us,
     rests_at_m,
-    sure_pulse_us,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
@@ -46,17 +45,28 @@ SUPPLY_STEP_PA: Final = 1e3
 """A stroke from rest is worked out anew for another place or supply pressure of this size."""
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
+A_LITTLE_US: Final = 2_000
+"""A pulse towards neutral is longer by no more than this than the last one that the sleeve has
+withstood from there or from nearer neutral, whatever the law says: a pulse too long throws it
+through, and torque on the teeth may have taught the law."""
+LEAST_PUSH_US: Final = 5_000
+"""A first push of a sleeve that stands before a gear's teeth may be as long as this."""
 LONGER_US: Final = 4_000
 """By so much longer is a gear pulled for each pull of this shift that has left it in."""
-A_LITTLE_US: Final = 2_000
-"""A push towards neutral is longer by no more than this than the last one that the sleeve has
-withstood, from there or nearer neutral, whatever the law says: torque on the teeth may have taught
-the law. A first one is no longer than a valve that opens early and shuts late leaves harmless."""
-LEAST_PUSH_US: Final = 5_000
+FIRST_SHARE: Final = 0.7
+TAUGHT: Final = 10
+"""The first one is no longer than the data sheet's sleeve takes. As long as the law was learned
+from fewer movements than these, it is no longer than this share of it, and no later pull is longer
+than one that has brought the sleeve out of the gear: the rest of the way it is pushed."""
+SURE_SDS: Final = 3.0
+"""A pulse towards neutral throws no sleeve through where its valve makes it longer by this many
+standard deviations."""
 RUN_ON_SHARE: Final = 0.5
 CLEAR_M: Final = 1.0e-3
-"""The guard takes a longer pulse for a firing: see docs/guard.md, "A pulse stops short". It goes by
-half of this clearance; the rest is what its position sensor may be wrong by."""
+REACT_US: Final = 15_000
+"""The guard takes a longer pulse for a firing, but for one that the next command ends: see
+docs/guard.md, "A pulse stops short". It goes by half of this clearance; the rest is what its
+position sensor may be wrong by."""
 LEAST_SUPPLY_SHARE: Final = 0.1
 
 
@@ -93,10 +103,8 @@ class Sleeves:
         self._valve_us = SECOND_US * sleeve.valve_delay_s
         self._least_stroke_us = SECOND_US * (sleeve.delay_s - sleeve.delay_limit_s) - self._valve_us
         """From the valve's opening to contact from neutral, by the data sheet."""
-        self._valves_spread_us = round(
-            SECOND_US * (sleeve.delay_limit_s + sleeve.valve_delay_tolerance_s)
-        )
-        """By so much longer a pulse may be than its current."""
+        self._spread_us = SECOND_US * (sleeve.delay_limit_s + sleeve.valve_delay_tolerance_s)
+        """By so much longer than its current a pulse may be, its valve late to shut."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
@@ -113,7 +121,7 @@ class Sleeves:
         self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
         self._unlearned = DrivenSleeve(self._law, prior)
-        self._sheets_pulls_us: dict[int, int] = {}
+        self._sheets_pulse_us: dict[tuple[int, float], int] = {}
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
         """A main valve's coil switches then (known in advance, or since); this replaces what was
@@ -160,12 +168,8 @@ class Sleeves:
     def _tell_scatter(self) -> None:
         self._from_rest.clear()
         self._abort_after.clear()
-        seen = [chance for chance in self._chances.values() if chance.samples]
-        of_others_s = pooled_scatter_s(seen or list(self._chances.values()))
         for gear, side in _SIDES.items():
-            chance = self._chances[gear]
-            scatter_s = chance.scatter_s if chance.samples else of_others_s
-            self._sleeves[side.sleeve].switch_sd_s[side.valve] = scatter_s
+            self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
 
     def reached(self) -> list[MainGear]:
         """The gears to whose teeth a sleeve has come by the newest samples, whatever sent it
@@ -311,13 +315,13 @@ class Sleeves:
         if abs(rests_m) < NEAR_NEUTRAL_M:
             return None
         if stands:
-            return self._pulse(sleeve, at_us, direction, self._push_us(sleeve, direction, stands_m))
+            most_us = self._withstands_us(sleeve, direction, stands_m)
+            return self._pulse(sleeve, at_us, direction, most_us)
         flies_past = place.is_moving and direction * place.speed_m_s < 0.0
         if not flies_past or tracked.is_off_its_law:
             return None
         # A longer pulse does not brake any more: it would set the sleeve going the other way.
-        by_law_us = pulse_to_neutral_us(tracked, direction, at_us)
-        return self._pulse_of(sleeve, at_us, direction, min(by_law_us, LONGEST_PULSE_US))
+        return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US, sure_sds=0.0)
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and
@@ -337,69 +341,74 @@ class Sleeves:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral: a longer
         one for each pull in vain, a shorter one where that may throw it through."""
         side = _SIDES[gear]
+        from_m = side.direction * self._law.stroke_m
         longer_us = in_vain * LONGER_US
-        most_us = self._sheets_pull_us(-side.direction) + longer_us
+        most_us = self._withstands_us(side.sleeve, -side.direction, from_m, longer_us)
         return self._pulse(side.sleeve, on_us, -side.direction, most_us, longer_us)
 
-    def _push_us(self, sleeve: Sleeve, direction: int, from_m: float) -> int:
-        """For so long a sleeve before a gear's teeth may be pushed towards neutral, whatever the
-        law says."""
+    def _withstands_us(
+        self, sleeve: Sleeve, direction: int, from_m: float, longer_us: int = 0
+    ) -> int:
+        """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
+        In its gear and out of it are two things: torque on the teeth holds it there."""
+        in_gear = abs(from_m) > self._law.in_gear_m
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
-        stops_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
-        most_us = max(int(stops_us) - self._valves_spread_us, LEAST_PUSH_US)
-        withstood = self._sleeves[sleeve].withstood.get(direction)
-        if withstood is None or withstood.from_m > abs(from_m):
-            return most_us
-        return max(most_us, withstood.long_us + A_LITTLE_US)
+        bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
+        is_taught = self._sleeves[sleeve].movements >= TAUGHT
+        if in_gear:
+            most_us = max(bound_us, REACT_US) * (1.0 if is_taught else FIRST_SHARE)
+        else:
+            most_us = max(bound_us - self._spread_us, LEAST_PUSH_US)
+        first_us = min(self._by_sheet_us(direction, from_m), int(most_us)) + longer_us
+        before = self._sleeves[sleeve].withstood.get((direction, in_gear))
+        if before is None or before.from_m > abs(from_m) + PLACE_STEP_M:
+            return first_us
+        return max(first_us, before.long_us + (A_LITTLE_US if is_taught or not in_gear else 0))
 
-    def _sheets_pull_us(self, direction: int) -> int:
-        """The pulse that pulls the data sheet's sleeve out of its gear to neutral."""
-        found = self._sheets_pulls_us.get(direction)
+    def _by_sheet_us(self, direction: int, from_m: float) -> int:
+        """The pulse that brings the data sheet's sleeve to neutral. Gears are pulled from the same
+        place each time: what was found is kept."""
+        found = self._sheets_pulse_us.get((direction, from_m))
         if found is None:
-            in_gear = self._unlearned.at_rest(-direction * self._law.stroke_m)
-            found = self._sheets_pulls_us[direction] = pulse_to_neutral_us(in_gear, direction, 0)
+            found = pulse_to_neutral_us(self._unlearned.at_rest(from_m), direction, 0, 0.0)
+            if abs(from_m) == self._law.stroke_m:
+                self._sheets_pulse_us[direction, from_m] = found
         return found
 
     def _pulse(
-        self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0
-    ) -> Pulse:
-        """By the law, but no longer than is sure; and by so much longer, up to this."""
+        self, sleeve: Sleeve, on_us: int, direction: int, most_us: int, longer_us: int = 0,
+        sure_sds: float = SURE_SDS,
+    ) -> Pulse:  # fmt: skip
         tracked = self._sleeves[sleeve]
-        by_law_us = min(pulse_to_neutral_us(tracked, direction, on_us), most_us)
-        long_us = min(sure_pulse_us(tracked, direction, on_us, by_law_us) + longer_us, most_us)
-        return self._pulse_of(sleeve, on_us, direction, long_us)
-
-    def _pulse_of(self, sleeve: Sleeve, on_us: int, direction: int, long_us: int) -> Pulse:
-        rests_m = rests_at_m(self._sleeves[sleeve], on_us, pulse_of(direction, on_us, long_us))
+        by_law_us = pulse_to_neutral_us(tracked, direction, on_us, sure_sds)
+        long_us = min(most_us, by_law_us + longer_us)
+        rests_m = rests_at_m(tracked, on_us, pulse_of(direction, on_us, long_us))
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
 
     def records(self) -> SleeveRecords:
         """What a calibration file keeps of the gears whose contacts have been seen."""
-        return SleeveRecords(**{gear.name.lower(): self.record(gear) for gear in self._chances})
-
-    def record(self, gear: MainGear) -> SleeveRecord | None:
-        """That of one gear; None where no contact of it has been seen."""
-        chance = self._chances[gear]
-        if chance.samples == 0:
-            return None
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
-        contact_us = self.from_neutral(gear).contact_us
+        gears = {
+            gear.name.lower(): SleeveRecord(
+                delay_s=max(self.from_neutral(gear).contact_us * US, self._least_s),
+                samples=chance.weight,
+                scatter_s=chance.scatter_s,
+                scatter_samples=chance.freedom,
+            )
+            for gear, chance in self._chances.items()
+            if chance.samples > 0
+        }
         self.supply_pa = supply_pa
-        return SleeveRecord(
-            delay_s=max(contact_us * US, self._least_s),
-            samples=chance.weight,
-            scatter_s=chance.scatter_s,
-            scatter_samples=chance.freedom,
-        )
+        return SleeveRecords(**gears)
 
     def laws(self) -> SleeveLawRecords:
         """What it keeps of the sleeves whose law was learned."""
-        return SleeveLawRecords(**{each.name.lower(): self.law(each) for each in self._sleeves})
-
-    def law(self, sleeve: Sleeve) -> SleeveLawRecord | None:
-        """That of one sleeve; None where it was not learned."""
-        tracked = self._sleeves[sleeve]
-        return law_record(tracked.known, tracked.movements) if tracked.movements > 0 else None
+        laws = {
+            sleeve.name.lower(): law_record(tracked.known, tracked.movements)
+            for sleeve, tracked in self._sleeves.items()
+            if tracked.movements > 0
+        }
+        return SleeveLawRecords(**laws)
 
     def law_figures(self, gear: MainGear) -> LawFigures:
         """What is known of the law by which the sleeve goes to this gear."""

@@ -39,6 +39,7 @@ REST_SAMPLES: Final = 8
 STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 NEUTRAL_M: Final = 1.5e-3
+MOVED_M: Final = 1e-3
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -72,11 +73,11 @@ class Contact(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A pulse towards neutral, of a sleeve that stood before a gear's teeth."""
+    """A pulse towards neutral."""
 
     long_us: int
     from_m: float
-    """So far from neutral it stood."""
+    """So far from neutral the sleeve stood."""
 
 
 class TrackedSleeve(DrivenSleeve):
@@ -87,8 +88,9 @@ class TrackedSleeve(DrivenSleeve):
         self._sheet = prior
         self.movements = 0
         """From how many movements the law was learned."""
-        self.withstood: dict[int, Push] = {}
-        """By direction: the last push towards neutral that did not throw it through."""
+        self.withstood: dict[tuple[int, bool], Push] = {}
+        """By direction, and whether out of a gear: the last push towards neutral that did not throw
+        it through."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
@@ -217,15 +219,19 @@ class TrackedSleeve(DrivenSleeve):
         self._rest(track)
 
     def _see_push(self) -> None:
-        """By how long a pulse it was pushed towards neutral, and not beyond."""
+        """By how long a pulse it was pushed towards neutral, and not beyond. One that has hardly
+        moved it out of a gear says nothing: torque on the teeth may have held it."""
         from_m = float(self.start.state[0])
         direction = -1 if from_m > 0.0 else 1
         own = [one for one in self.switches if one.valve == valve_towards(direction)]
         place_m = self.place_of(self.movement.readings_m[-1])
         if len(own) < 2 or not own[0].on or direction * place_m > NEUTRAL_M:
             return
-        if NEUTRAL_M < abs(from_m) < self.law.face_m:
-            self.withstood[direction] = Push(own[1].time_us - own[0].time_us, abs(from_m))
+        in_gear = abs(from_m) > self.law.in_gear_m
+        way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
+        if abs(from_m) > NEUTRAL_M and (way_m > MOVED_M or not in_gear):
+            push = Push(own[1].time_us - own[0].time_us, abs(from_m))
+            self.withstood[direction, in_gear] = push
 
     def _follow(self, track: SleeveTrack) -> None:
         """The law is fitted to what has been seen; it ends where a tooth may stop the sleeve."""
