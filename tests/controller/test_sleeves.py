@@ -6,13 +6,17 @@ import math
 
 import pytest
 
+from meshpoint.controller.calibration.learned import SleeveLawRecords, SleeveRecords
 from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sleeve.cylinder import FRICTION
 from meshpoint.controller.sleeve.driven import DrivenSleeve
 from meshpoint.controller.sleeve.law import Prior, SleeveLaw
+from meshpoint.controller.sleeve.law_record import law_record
 from meshpoint.controller.sleeve.sleeves import SURE_SDS, Sleeves
 from meshpoint.controller.sleeve.to_rest import pulse_of, pulse_to_neutral_us, rests_at_m
 from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
-from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.dbc.messages import SleevesMain
+from meshpoint.gearbox import MainGear, Sleeve, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
 
 SHEET = load_sheet("truck12")
@@ -123,3 +127,43 @@ def test_a_pulse_to_neutral_throws_no_sleeve_through_where_its_valve_shuts_late(
         sleeve, NOW_US, pulse_of(direction, NOW_US, long_us + late_us)
     )
     assert beyond_m < 1.1e-3  # its detent has it
+
+
+def standing_at(sleeves: Sleeves, view: GearboxView, x_mm: float, from_us: int, to_us: int) -> None:
+    """The sleeve of first and second gear is seen to stand there."""
+    samples = (1e-3 * x_mm,) * 10
+    for now_us in range(from_us, to_us, 10_000):
+        view.sleeves_main(SleevesMain(0, 0, samples, (0.0,) * 10), now_us)
+        sleeves.take(view, now_us + 2_000)
+
+
+def pushed_ms(sleeves: Sleeves, at_us: int) -> float:
+    """How long the push to neutral would be."""
+    pulse = sleeves.to_neutral(Sleeve.FIRST_SECOND, at_us)
+    assert pulse is not None
+    return 1e-3 * (pulse.off_us - pulse.on_us)
+
+
+def test_a_push_to_neutral_is_bounded_by_what_was_withstood_from_there_or_nearer_neutral() -> None:
+    """Whatever the law asks for, which friction of three times the sheet's has taught: first by
+    half of the least stroke for the way that ends 1 mm before the opposite teeth, less 7 ms for a
+    valve that is late to shut, then by 2 ms more than the last push."""
+    law = SleeveLaw(SHEET)
+    sheet = law.prior(SHEET)
+    slow = sheet.mean.copy()
+    slow[FRICTION] = math.log(3.0)
+    sleeves, view = Sleeves(SHEET), GearboxView(SHEET)
+    laws = SleeveLawRecords(first_second=law_record(Prior(slow, 0.01 * sheet.covariance), 20))
+    sleeves.restore(SleeveRecords(), laws)
+    first_ms = {x_mm: 14.0 * ((4.0 + x_mm) / 5.0) ** (1 / 3) - 7.0 for x_mm in (2.6, 4.0)}
+    standing_at(sleeves, view, 2.6, 0, 300_000)
+    assert pushed_ms(sleeves, 320_000) == pytest.approx(first_ms[2.6], abs=0.01)
+    standing_at(sleeves, view, 4.0, 300_000, 500_000)
+    assert pushed_ms(sleeves, 520_000) == pytest.approx(first_ms[4.0], abs=0.01)
+    sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], True, 520_000)
+    standing_at(sleeves, view, 4.0, 500_000, 530_000)
+    sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], False, 531_000)
+    standing_at(sleeves, view, 4.0, 530_000, 900_000)
+    assert pushed_ms(sleeves, 920_000) == pytest.approx(13.0, abs=0.01)
+    standing_at(sleeves, view, 2.6, 900_000, 1_200_000)
+    assert pushed_ms(sleeves, 1_220_000) == pytest.approx(first_ms[2.6], abs=0.01)

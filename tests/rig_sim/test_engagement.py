@@ -214,7 +214,7 @@ def test_a_second_gear_is_a_counted_violation_and_the_first_stays() -> None:
     on = ValveCommand(main_third_action=ValveAction.ON_NOW)
     bench.run(1_000_000, lambda now_us: on)
     truth = bench.core.truth
-    assert truth.violations == {Violation.TWO_GEARS: 1}
+    assert truth.violations == {Violation.TWO_GEARS: 1, Violation.SLIP_AT_CONTACT: 1}
     assert truth.locked_gear is MainGear.FIRST
     assert truth.sleeve_state(Sleeve.CRAWL_THIRD) is SleeveState.FACE
 
