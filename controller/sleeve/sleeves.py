@@ -387,28 +387,31 @@ class Sleeves:
 
     def records(self) -> SleeveRecords:
         """What a calibration file keeps of the gears whose contacts have been seen."""
+        return SleeveRecords(**{gear.name.lower(): self.record(gear) for gear in self._chances})
+
+    def record(self, gear: MainGear) -> SleeveRecord | None:
+        """That of one gear; None where no contact of it has been seen."""
+        chance = self._chances[gear]
+        if chance.samples == 0:
+            return None
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
-        gears = {
-            gear.name.lower(): SleeveRecord(
-                delay_s=max(self.from_neutral(gear).contact_us * US, self._least_s),
-                samples=chance.weight,
-                scatter_s=chance.scatter_s,
-                scatter_samples=chance.freedom,
-            )
-            for gear, chance in self._chances.items()
-            if chance.samples > 0
-        }
+        contact_us = self.from_neutral(gear).contact_us
         self.supply_pa = supply_pa
-        return SleeveRecords(**gears)
+        return SleeveRecord(
+            delay_s=max(contact_us * US, self._least_s),
+            samples=chance.weight,
+            scatter_s=chance.scatter_s,
+            scatter_samples=chance.freedom,
+        )
 
     def laws(self) -> SleeveLawRecords:
         """What it keeps of the sleeves whose law was learned."""
-        laws = {
-            sleeve.name.lower(): law_record(tracked.known, tracked.movements)
-            for sleeve, tracked in self._sleeves.items()
-            if tracked.movements > 0
-        }
-        return SleeveLawRecords(**laws)
+        return SleeveLawRecords(**{each.name.lower(): self.law(each) for each in self._sleeves})
+
+    def law(self, sleeve: Sleeve) -> SleeveLawRecord | None:
+        """That of one sleeve; None where it was not learned."""
+        tracked = self._sleeves[sleeve]
+        return law_record(tracked.known, tracked.movements) if tracked.movements > 0 else None
 
     def law_figures(self, gear: MainGear) -> LawFigures:
         """What is known of the law by which the sleeve goes to this gear."""
