@@ -552,3 +552,13 @@ def test_range_and_the_other_sleeve_wait_for_neutral() -> None:
     third = slip_for(THIRD)
     assert row(standing(3.0), at(110, 3.0), {RANGE_HIGH: (ON_AT, 112)}) == 8
     assert row(standing(3.0), at(110, 3.0, slip_rpm=third), {THIRD: (ON_AT, 112)}) == 2
+
+
+@pytest.mark.parametrize(("now_ms", "forbidden"), [(17.0, 3), (18.0, None)])
+def test_the_last_stop_is_judged_from_where_the_sleeve_stood_as_it_was_fired(
+    now_ms: float, forbidden: int | None
+) -> None:
+    """From neutral a valve may be on for 13.5 ms and the sleeve stops short: until 17.5 ms after
+    NOW. From the 3 mm to which it has come meanwhile it would be 9.4 ms."""
+    seen = at(now_ms, 3.0, 0.4, late_ms=1.0, slip_rpm=140.0)
+    assert row(fired(), seen, {SECOND: (ON_AT, 4)}) == forbidden
