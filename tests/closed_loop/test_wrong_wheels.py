@@ -155,7 +155,7 @@ def test_a_wheel_that_is_wrong_for_a_moment_is_the_only_one_that_is_named(
 @pytest.mark.parametrize("wheel", [1, 2])
 def test_from_neutral_a_wheel_that_was_always_wrong_leads_to_no_contact(wheel: int) -> None:
     """A shift that was ended in neutral; the controller starts anew there and knows nothing."""
-    loop = a_loop(wheel, 0.8, 500_000, 300_000, again_us=1_500_000)
+    loop = a_loop(wheel, 0.8, 600_000, 300_000, again_us=1_500_000)
     assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
     assert loop.outcomes[0].result is ShiftResult.ENDED_IN_NEUTRAL
     before = contact_slips_rad_s(loop)

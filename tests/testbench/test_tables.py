@@ -121,6 +121,7 @@ def campaign_values() -> dict[str, Any]:
         "aborts_mean": 12.39,
         "retries": 2_000_000,
         "blocked": 2_000_000,
+        "outside_window": 2_000_000,
         "given_up": 2_000_000,
         "phase_error_sd_deg": 12.39,
         "reference_known": 1.0,

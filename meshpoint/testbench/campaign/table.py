@@ -150,7 +150,7 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "retries": lambda f: str(f["retries"]),
     "blocked": lambda f: str(f["blocked"]),
     "bounced off": lambda f: str(f["thrown_back"]),
-    "contacts outside the window": lambda f: str(f["outside_window"]),
+    "outside window": lambda f: str(f["outside_window"]),
     "not engaged": lambda f: str(f["given_up"]),
     "phase sd deg": lambda f: number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),

@@ -175,7 +175,7 @@ def measured_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(title="measured", title_justify="left", box=None, pad_edge=False)
     for column in ("key", "measured", "95 % interval", "data sheet", "how"):
         left = column in ("key", "how")
-        table.add_column(column, justify="left" if left else "right")
+        table.add_column(column, justify="left" if left else "right", no_wrap=column == "key")
     for row in rows:
         values = f"{row['measured']:g}", row["interval"], f"{row['sheet']:g}"
         table.add_row(row["key"], *values, row["how"])

@@ -1,4 +1,4 @@
-"""What a box that stands tells of its valves: figures with 95 % intervals, and bounds where one
+"""What a box that stands shows of its valves: figures with 95 % intervals, and bounds where one
 stroke does not tell two things apart."""
 
 from __future__ import annotations
