@@ -220,16 +220,14 @@ class Case(NamedTuple):
         withstood from there or from nearer neutral. Judged once the push's end is commanded."""
         way_m, other = self.set_off_m(valve, span), OTHER_OF_MAIN[valve]
         stands = self.last_drive(other) is None and self.spans[other] is None
-        is_before_teeth = -self.limits.contact_m <= way_m < -GUARD_NEUTRAL_M
         is_ended = span.end_us <= self.seen.now_us + self.limits.switch_again_us
-        if not (stands and is_before_teeth and is_ended):
+        if not (stands and is_ended):
             return False
         stops_us = longest_pulse_us(self.limits, way_m) - self.limits.sleeve_scatter_us
-        before = self.state.pushes.get(valve)
-        is_proven = before is not None and way_m <= before.stood_m
-        withstood_us = before.driven_us + LONGER_US if before is not None and is_proven else 0
-        lasts_us = span.end_us - self._since_us(valve, span)
-        return lasts_us > max(stops_us, LEAST_PUSH_US, withstood_us)
+        most_us, before = max(stops_us, LEAST_PUSH_US), self.state.pushes.get(valve)
+        if before is not None and way_m <= before.stood_m:
+            most_us = max(most_us, before.driven_us + LONGER_US)
+        return span.end_us - self._since_us(valve, span) > most_us
 
     def _since_us(self, valve: int, span: Span) -> int:
         """Since when the valve is on, with all its times since the sleeve was last seen to

@@ -235,13 +235,22 @@ def test_a_standing_sleeve_is_pushed_to_neutral_no_longer_than_stops_short_by_a_
 
 
 def test_what_a_push_has_not_done_it_may_try_again_by_4_ms_more_from_no_nearer_neutral() -> None:
-    assert push(standing(4.0), 110.0, 11.5, 4.0) is None
-    guard = standing(4.0)
-    assert push(guard, 110.0, 11.5, 4.0) is None
-    assert push(guard, 210.0, 15.4, 4.2) is None
-    guard = standing(4.0)
-    assert push(guard, 110.0, 11.5, 4.0) is None
-    assert push(guard, 210.0, 12.0, 3.9) == 3
+    for way_mm, lasts_ms, forbidden in (
+        (4.0, 15.5, None), (4.2, 15.5, None), (4.0, 15.51, 3), (3.9, 12.0, 3)
+    ):  # fmt: skip
+        guard = standing(4.0)
+        assert push(guard, 110.0, 11.5, 4.0) is None
+        assert push(guard, 210.0, lasts_ms, way_mm) == forbidden
+
+
+@pytest.mark.parametrize(("lasts_ms", "forbidden"), [(15.0, 3), (15.1, None)])
+def test_a_push_is_judged_by_its_end_once_that_cannot_come_later(
+    lasts_ms: float, forbidden: int | None
+) -> None:
+    """15 ms ahead another command can end it sooner: until then it is judged as before."""
+    guard = standing(3.0)
+    assert row(guard, at(108, 3.0), {FIRST: (ON_AT, 110)}) is None
+    assert row(guard, at(110, 3.0), {FIRST: (OFF_AT, 110 + lasts_ms)}) == forbidden
 
 
 # -- pulled out of a gear --------------------------------------------------------------------
