@@ -154,11 +154,12 @@ class TrackedSleeve(DrivenSleeve):
     def _reaches(self, track: SleeveTrack, count: int) -> int:
         """The side on which it comes to teeth within this count of the newest samples."""
         level_m = self.law.face_m - AT_TEETH_M
-        places_m = [self.place_of(reading) for reading in track.samples_m[: count + 1]]
-        for direction in (-1, 1):
-            if direction * places_m[0] >= level_m > min(direction * place for place in places_m):
-                return direction
-        return 0
+        newest_m = self.place_of(track.samples_m[0])
+        direction = 1 if newest_m > 0.0 else -1
+        if direction * newest_m < level_m:
+            return 0
+        before_m = self.place_of(track.samples_m[: count + 1][-1])
+        return direction if direction * before_m < level_m else 0
 
     def _begin_anew(self, track: SleeveTrack) -> None:
         """The sensors' clock has gone back: nothing of before holds but what was learned."""
