@@ -190,6 +190,10 @@ class EngineRequests:
     """So much of the engine's reference torque may be left when the clutch's plates part."""
 
 
+SPEEDS_RAD_S: Final = 10.0 * RPM
+"""Error of a slip by two measured speeds."""
+
+
 @dataclass(frozen=True)
 class GuardSettings:
     """Limits of the guard: wider than any strategy plans, narrower than what does damage."""
@@ -214,6 +218,13 @@ class GuardSettings:
     """The brake's torque over that of its data sheet, at most."""
     drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=15.0)
     """Drag at the layshaft beyond the sheet's friction, at most."""
+
+    def is_outside(self, slip_rad_s: float) -> bool:
+        """Whether a contact at this slip was outside the window, by more than two measured speeds
+        may be wrong by."""
+        least_rad_s = self.slip_low_rad_s - SPEEDS_RAD_S
+        most_rad_s = self.slip_high_rad_s + SPEEDS_RAD_S
+        return not least_rad_s <= slip_rad_s <= most_rad_s
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,8 @@ LONGER_US: Final = 4_000
 """By so much longer than before a gear may be pulled each time: less than lies between a pulse that
 brings a sleeve to neutral and one that throws it through."""
 LEAST_PUSH_US: Final = 7_000
-"""A push towards neutral may last as long as this wherever the sleeve stands: a valve does not open
-for less."""
+"""A push towards neutral may last as long as this wherever the sleeve stands: a shorter one may
+leave it there."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 

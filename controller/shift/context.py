@@ -25,7 +25,7 @@ from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
-from meshpoint.units import RPM, US
+from meshpoint.units import US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -36,8 +36,6 @@ side: the activation is sent again."""
 BRAKE_GAUGES: Final = 8
 SHUTS_US: Final = 25 * MS_IN_US
 """A sample is there this long after a valve's current of when the slowest valve has shut."""
-SPEEDS_RAD_S: Final = 10.0 * RPM
-"""Error of a slip by two measured speeds."""
 SENSED_SHARE: Final = 0.005
 """Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
@@ -180,11 +178,8 @@ class ShiftContext:
     def _turns_against(self, gear: MainGear, snapshot: StepSnapshot) -> bool:
         """Whether a gear turns against its sleeve faster than the guard lets any be fired, by the
         measured speeds."""
-        slip_rad_s, guard = snapshot.speeds.slip_rad_s(gear), self.settings.guard
-        if slip_rad_s is None:
-            return False
-        low_rad_s, high_rad_s = guard.slip_low_rad_s, guard.slip_high_rad_s
-        return not low_rad_s - SPEEDS_RAD_S <= slip_rad_s <= high_rad_s + SPEEDS_RAD_S
+        slip_rad_s = snapshot.speeds.slip_rad_s(gear)
+        return slip_rad_s is not None and self.settings.guard.is_outside(slip_rad_s)
 
     def tell_sleeves(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""

@@ -35,8 +35,6 @@ ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
 SOURCES: Final = ("measured", "restored", "narrowed")
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
 OVER: Final = (*ENDS, EngagementEvent.RELEASED)
-SLIP_MARGIN_RAD_S: Final = 10.0 * RPM
-"""By so much the speeds that the guard goes by may be wrong."""
 LOCK_WAIT_US: Final = 400_000
 """A row waits so long after its shift's end for its gear to lock, since a sleeve may be measured in
 before the tooth has met its flank. The clutch's plates have met by then, or there are none."""
@@ -146,10 +144,7 @@ class RowCollector:
     def _is_outside(self, event: ReferenceEngagement) -> bool:
         """Whether a sleeve has met a gear that turns too fast against it, whatever sent it
         there."""
-        guard, slip_rad_s = self._settings.guard, event.slip_rad_s
-        low_rad_s = guard.slip_low_rad_s - SLIP_MARGIN_RAD_S
-        high_rad_s = guard.slip_high_rad_s + SLIP_MARGIN_RAD_S
-        return event.event in CONTACT_KINDS and not low_rad_s <= slip_rad_s <= high_rad_s
+        return event.event in CONTACT_KINDS and self._settings.guard.is_outside(event.slip_rad_s)
 
     def _plates_met(self, time_us: int) -> None:
         """The clutch of the last shift is closing: its row has all its parts."""
