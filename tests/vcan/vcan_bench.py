@@ -23,7 +23,7 @@ import cantools.database
 from patience import POLL_S, Patience, until
 
 from meshpoint.bus.light_can import load_can
-from meshpoint.bus.pace import PaceFile
+from meshpoint.bus.pace import PACED_NODES, PaceFile
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.table import build_parser
 
@@ -318,6 +318,18 @@ class Bench:
         headers = ["--header-dir", str(folder)]
         arguments = [*headers, *cheap, *common, *wire.options(wire.controller)]
         self.controller = Command(folder, "controller", "--arm", *arguments)
+        self._wait_for_both()
+
+    def _wait_for_both(self) -> None:
+        """Bus time waits for no node that has not yet joined it, and loading one has taken four
+        minutes on a busy machine: patience begins when both are there. A hang is for pytest's time
+        limit to find."""
+        joined = (PACED_NODES.index("rig"), PACED_NODES.index("controller"))
+        while any(self._time.promises_us()[node] is None for node in joined):
+            for node in (self.rig, self.controller):
+                assert node.poll() is None, f"{node.name} ended with {node.poll()}{self.story()}"
+            self.bus_s()  # fails where the pacemaker has ended
+            time.sleep(LOOK_S)
 
     def __enter__(self) -> Bench:
         return self
