@@ -51,6 +51,7 @@ class ReferenceSource(IntEnum):
     MEASURED = 1
     RESTORED = 2
     NARROWED = 3
+    UNSEEN = 4
 
 class ShiftResult(IntEnum):
     NONE = 0
@@ -1044,7 +1045,8 @@ class ShiftOutcome(NamedTuple):
 
     reference_source: ReferenceSource = ...
     """Where the reference came from when the sleeve was fired: measured in mesh, restored with the
-    tooth numbers, or narrowed by other gears in mesh."""
+    tooth numbers, or narrowed by other gears in mesh; where there is none: the gear has not been in
+    mesh (none), or none of its measurements counted (unseen)."""
 
     aborts: int = ...
     """Times a sleeve on its way was stopped short of the teeth (0..255)."""

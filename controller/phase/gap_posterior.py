@@ -25,9 +25,12 @@ from meshpoint.kernels.records import Vector
 
 CELLS: Final = 300
 """Middles of the gap that are compared, over a pitch."""
-MEASUREMENT_SHARES: Final = (0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28)
+MEASUREMENT_SHARES: Final = (
+    *(0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28, 0.34, 0.4, 0.48, 0.6),
+    *(0.8, 1.1, 1.5, 2.0, 2.8, 4.0, 6.0),
+)
 """Standard deviations of measurements, in backlashes; one counts with the next larger of them, and
-with none it is too vague."""
+with none it says nothing of a gap."""
 AT_FLANK: Final = 0.6
 ASTRAY: Final = 0.02
 CARRIED: Final = 0.98
@@ -38,16 +41,9 @@ INDEPENDENT: Final = 0.25
 that only one in four adds something of its own."""
 NEAR_SHARE: Final = 0.3
 """Middles within this of the likeliest one, in backlashes, are the same."""
-CERTAIN: Final = 0.97
-"""The middle is known where this much of the probability lies at the likeliest one."""
-BEYOND_SD: Final = 1.2
-"""A measurement lies outside the gap when it is further from a flank than this, in its standard
-deviations."""
-FAR_SD: Final = 3.0
-"""It lies outside for sure when it is further than this."""
-MOST_OUTSIDE: Final = 0.1
-"""Where more than this share of the measurements lie outside, the gap cannot be there. Of
-measurements at a flank 12 % do by chance."""
+BEYOND_SD: Final = 2.5
+"""Of measurements at a flank, one in 160 lies further beyond it by chance, in its standard
+deviations; more do where the gap is wider than the sheet says, or elsewhere."""
 
 
 class GapMiddle(NamedTuple):
@@ -56,6 +52,7 @@ class GapMiddle(NamedTuple):
     raw_rad: float
     """Its raw phase, within a pitch."""
     sd_rad: float
+    """Standard deviation: of all middles that are possible, and of what none of them explains."""
 
 
 @lru_cache(maxsize=8)
@@ -119,32 +116,25 @@ class GapPosterior:
         self._log += np.roll(densities[flank, kind], cell)
         return True
 
-    def allows(self, raw_rad: float) -> bool:
-        """Whether the middle may be there: the measurements lie in that gap."""
-        cell = round(raw_rad / self._pitch_rad * CELLS) % CELLS
-        away = np.roll(_distances_rad(self._pitch_rad), cell)
-        return self._outside(away, FAR_SD) <= MOST_OUTSIDE * float(self._measurements.sum())
-
     def middle(self) -> GapMiddle | None:
-        """The middle of the gap; None while it is not certain."""
+        """The likeliest middle of the gap; None before the first measurement."""
+        count = float(self._measurements.sum())
+        if count == 0.0:
+            return None
         weight = np.exp(self._log - self._log.max())
         weight /= weight.sum()
         best = int(weight.argmax())
         away = np.roll(_distances_rad(self._pitch_rad), best)
         near = np.abs(away) < NEAR_SHARE * self._backlash_rad
-        share = float(weight[near].sum())
-        if (
-            share < CERTAIN
-            or self._outside(away, BEYOND_SD) > MOST_OUTSIDE * self._measurements.sum()
-        ):
-            return None
-        off = float((weight * away)[near].sum()) / share
-        variance = float((weight * (away - off) ** 2)[near].sum()) / share
-        off += self._beside_rad / float(self._measurements.sum())
+        off = float((weight * away)[near].sum()) / float(weight[near].sum())
+        # Of all middles, not of those near the likeliest alone: another flank may be the right one.
+        variance = float(weight @ (away - off) ** 2) + self._unexplained_rad2(away)
+        off += self._beside_rad / count
         return GapMiddle(best * self._pitch_rad / CELLS + off, math.sqrt(variance))
 
-    def _outside(self, away: Vector, beyond_sd: float) -> float:
-        """How many measurements lie outside a gap from whose middle the cells are so far away,
-        further from a flank than this many of their standard deviations."""
-        reach = self._backlash_rad * (0.5 + beyond_sd * np.array(MEASUREMENT_SHARES))
-        return float(self._measurements[np.abs(away) > reach[:, np.newaxis]].sum())
+    def _unexplained_rad2(self, away: Vector) -> float:
+        """Mean square of how far measurements lie outside a gap from whose middle the cells are so
+        far away, further from a flank than chance carries them."""
+        reach = self._backlash_rad * (0.5 + BEYOND_SD * np.array(MEASUREMENT_SHARES))
+        outside = np.maximum(0.0, np.abs(away) - reach[:, np.newaxis])
+        return float((self._measurements * outside**2).sum() / self._measurements.sum())

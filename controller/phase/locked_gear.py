@@ -56,12 +56,11 @@ class LockedGear:
 
     def released(self, events: list[str]) -> None:
         """No gear is in mesh any more."""
-        gear, recovery = self._references.released(), self._recovery
-        if gear is None or self._settle(gear, events) or self._references.known(gear):
-            return
-        gap = self._references.gap(gear)
-        if gap is not None and recovery is not None:
-            recovery.seen(gear, gap, events)
+        gear = self._references.released()
+        if gear is not None and not self._settle(gear, events) and not self._references.known(gear):
+            events.append(
+                f"phase reference of {gear.name.lower()} not learned: its tooth was not seen in mesh"
+            )
 
     def _settle(self, gear: MainGear, events: list[str]) -> bool:
         """Whether the gear's reference has just been learned."""

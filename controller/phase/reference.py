@@ -4,7 +4,8 @@ The sensor wheels count teeth but do not measure absolute angles (thesis 8.2). I
 in its gap, so the constant between counted angles and phase follows from where it is seen while the
 gear is in mesh (`gap_posterior`). An observation of the phase of a gear in mesh is called a
 measurement. Counting teeth keeps the reference exact; it is lost when the count of either wheel is
-lost.
+lost. A gear that has been in mesh has a reference from then on, with a standard deviation that says
+how well it is known; plans price it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ CARRIED_MEASUREMENTS: Final = 2
 ms."""
 OTHER_SHARE: Final = 0.3
 """A constant that differs by so much, in backlashes, is another one: a flank was taken for the
-other."""
+other. One known no better than this may be that one."""
 
 
 @dataclass
@@ -53,6 +54,8 @@ class PhaseReferences:
         """Source of each constant that was not measured with the gear in mesh."""
         self._gaps: dict[MainGear, GapPosterior] = {}
         """What all measurements at a gear show of where its gap is."""
+        self._unseen: set[MainGear] = set()
+        """Gears that have been in mesh without a measurement that counted."""
         self.watched: Watched | None = None
         """The gear in mesh that is watched; the same object as long as it is the same lock."""
         # Now, not in the step of the first lock.
@@ -63,9 +66,14 @@ class PhaseReferences:
         return gear in self._offset_rad
 
     def sd_rad(self, gear: MainGear) -> float:
-        """Standard deviation (rad) of a gear's constant, by the scatter of the measurements it was
-        learned from; 0 where it was learned in another way."""
-        return self._sd_rad.get(gear, 0.0)
+        """Standard deviation (rad) of a gear's constant, by the measurements it was learned from; 0
+        where it was learned in another way."""
+        return 0.0 if gear in self._adopted else self._sd_rad.get(gear, 0.0)
+
+    def certain(self, gear: MainGear) -> bool:
+        """Whether it is known, and at which flank the tooth was seen: enough to be remembered."""
+        most_rad = OTHER_SHARE * self._sheet.dog.backlash_rad
+        return self.known(gear) and self.sd_rad(gear) < most_rad
 
     def phase_rad(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> float:
         """Phase of the gear, unwrapped: wrap it to the pitch to see where in the gap it is.
@@ -111,6 +119,8 @@ class PhaseReferences:
         middle = None if gap is None else gap.middle()
         if middle is None:
             return False
+        if gear in self._adopted and middle.sd_rad > OTHER_SHARE * dog.backlash_rad:
+            return False
         is_new = self.source(gear) is not ReferenceSource.MEASURED
         off = wrap_to_pitch(self._offset_rad.get(gear, 0.0) - middle.raw_rad, dog.pitch_rad)
         self._offset_rad[gear], self._sd_rad[gear] = middle
@@ -120,16 +130,16 @@ class PhaseReferences:
     def released(self) -> MainGear | None:
         """The gear leaves the mesh. Returns it where it was watched."""
         watched, self.watched = self.watched, None
-        return None if watched is None else watched.gear
-
-    def gap(self, gear: MainGear) -> GapPosterior | None:
-        """What was seen of a gear; None where nothing was."""
-        return self._gaps.get(gear)
+        if watched is None:
+            return None
+        if watched.counted == 0:
+            self._unseen.add(watched.gear)
+        return watched.gear
 
     @property
     def offsets_rad(self) -> dict[MainGear, float]:
-        """The known constants by gear."""
-        return dict(self._offset_rad)
+        """The constants by gear that are certain."""
+        return {gear: at for gear, at in self._offset_rad.items() if self.certain(gear)}
 
     def adopt(self, gear: MainGear, offset_rad: float, source: ReferenceSource) -> None:
         """Takes a constant (rad) that was derived without the gear in mesh."""
@@ -137,9 +147,10 @@ class PhaseReferences:
         self._adopted[gear] = source
 
     def source(self, gear: MainGear) -> ReferenceSource:
-        """Where a gear's constant came from; NONE while it is unknown."""
-        known = ReferenceSource.MEASURED if gear in self._offset_rad else ReferenceSource.NONE
-        return self._adopted.get(gear, known)
+        """Where a gear's constant came from; while it is unknown, why."""
+        if gear in self._offset_rad:
+            return self._adopted.get(gear, ReferenceSource.MEASURED)
+        return ReferenceSource.UNSEEN if gear in self._unseen else ReferenceSource.NONE
 
     def lose(self, gear: MainGear) -> None:
         """Drops one gear's constant, because it was wrong."""
@@ -152,6 +163,7 @@ class PhaseReferences:
         self._offset_rad.clear()
         self._adopted.clear()
         self._gaps.clear()
+        self._unseen.clear()
         self.watched = None
 
     @property

@@ -24,7 +24,6 @@ import numpy as np
 
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.tooth_match import ToothPattern
-from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.turn_candidates import (
     TurnSet,
@@ -230,17 +229,14 @@ class ReferenceRecovery:
         sd_rad: standard deviation of the measured phase. Log lines are added to `events`."""
         if not self._found or gear not in self._remembered:
             return
-        offset, pitch_rad = self._references.offsets_rad[gear], self._sheet.dog.pitch_rad
+        offset = self._references.offsets_rad.get(gear)
+        if offset is None:
+            return
+        pitch_rad = self._sheet.dog.pitch_rad
         tolerance = AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad)
         self._exclude(
             gear, lambda at: abs(wrap_to_pitch(at - offset, pitch_rad)) < tolerance, events
         )
-
-    def seen(self, gear: MainGear, gap: GapPosterior, events: list[str]) -> None:
-        """A gear was in mesh and its reference was not learned; where its tooth was seen still
-        excludes turns."""
-        if self._found and gear in self._remembered:
-            self._exclude(gear, gap.allows, events)
 
     def _exclude(self, gear: MainGear, agrees: Callable[[float], bool], events: list[str]) -> None:
         """Excludes turns for which a gear's reference (rad) does not agree."""
@@ -271,7 +267,7 @@ class ReferenceRecovery:
     def _use(self, source: ReferenceSource, events: list[str]) -> None:
         """Adopts the references of gears whose phase is the same for all remaining turns."""
         for gear in self._remembered:
-            if self._references.known(gear):
+            if self._references.certain(gear):
                 continue
             offset = self._agreed(gear)
             if offset is not None:
@@ -303,7 +299,7 @@ class ReferenceRecovery:
 
     def candidates(self, gear: MainGear) -> int:
         """Number of possible phases of this gear; 0 if no reference of it is remembered."""
-        return 1 if self._references.known(gear) else len(self._turns_of(gear))
+        return 1 if self._references.certain(gear) else len(self._turns_of(gear))
 
     def saved(self) -> SavedReferences:
         """What to keep for the next run: the remembered numbering while it may still be found

@@ -34,6 +34,9 @@ MOST_TICKS = 16
 """What will be known of the layshaft is worked out at this many ticks of `OUTLOOK_US`."""
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
+REFERENCE_SD_RAD: Final = math.radians(0.1)
+"""Standard deviation of two phase references of one gear that were learned at different times
+(docs/calibration.md), beyond what the measurements in mesh say."""
 CLOSE_RAD_S = 1e-4
 """Tolerance of the root search: some microseconds at the brake's full torque."""
 
@@ -106,9 +109,16 @@ class GearPredictor:
 
     def phase_sd_rad(self, time_us: float) -> float:
         """Standard deviation (rad) of the phase at a contact at that time: from the estimates of
-        angle and speed, and from the scatter of the sleeve's delay."""
-        slip = self.slip_rad_s(time_us)
-        return math.hypot(self._estimate_sd_rad(time_us), slip * self.delay_sd_s)
+        angle and speed, the phase reference, and the scatter of the sleeve's delay."""
+        scatter = self.slip_rad_s(time_us) * self.delay_sd_s
+        reference = math.sqrt(self.reference_variance)
+        return math.hypot(self._estimate_sd_rad(time_us), reference, scatter)
+
+    @property
+    def reference_variance(self) -> float:
+        """Variance (rad2) of the gear's phase reference, which adds to that of every prediction."""
+        learned_rad = self.references.sd_rad(self.gear)
+        return REFERENCE_SD_RAD**2 + learned_rad**2
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft

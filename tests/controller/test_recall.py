@@ -17,7 +17,6 @@ from recall_bench import THESIS, TIED, TRUCK12, WHOLE, Bench
 from meshpoint.controller.estimation.tooth_match import (
     ToothPattern,
 )
-from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.controller.phase.turn_candidates import turn_candidates
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
@@ -299,31 +298,6 @@ def test_two_learnings_of_a_gear_may_differ_by_four_standard_deviations(
     bench.find()
     bench.learn(MainGear.SECOND, off_deg * DEG, sd_rad=0.1 * DEG)
     assert len(bench.references.offsets_rad) == 4
-
-
-@settings(max_examples=30, deadline=None)
-@given(
-    at=AT, gear=st.sampled_from(MAIN_GEARS), low=st.floats(-0.5, 0.5), high=st.floats(-0.5, 0.5)
-)  # fmt: skip
-def test_a_gear_that_was_in_mesh_unlearned_leaves_the_phases_at_which_it_can_be_in(
-    at: tuple[int, int, int], gear: MainGear, low: float, high: float
-) -> None:
-    """Its tooth was somewhere in the gap, a fifth of the pitch: the truth stays, most others go."""
-    bench = Bench(TRUCK12)
-    bench.restore(*MAIN_GEARS)
-    bench.count_from(*at)
-    bench.find()
-    n, dog = bench.recovery.candidates(gear), TRUCK12.dog
-    seen = sorted(bench.box.offset(gear) + share * dog.backlash_rad for share in (low, high))
-    gap = GapPosterior(dog.pitch_rad, dog.backlash_rad)
-    for raw in 20 * seen:
-        gap.measure(raw, 0.1 * dog.backlash_rad)
-    bench.recovery.seen(gear, gap, bench.events)
-    least = (dog.backlash_rad - (seen[1] - seen[0])) / dog.pitch_rad * n - 1.0
-    assert least <= bench.recovery.candidates(gear) <= 0.37 * n + 1.0
-    bench.learn(gear)
-    assert bench.known() == {gear}
-    assert not bench.events[2:]
 
 
 TEETH_ON = st.one_of(st.none(), st.integers(0, 44))

@@ -68,8 +68,6 @@ CLEAR_US: Final = 10_000
 meets the gear when the brake has been released."""
 SLOWEST_M_S: Final = 0.05
 """A sleeve that meets a gear at all does so no slower."""
-REFERENCE_SD_RAD: Final = math.radians(0.1)
-"""Standard deviation of a learned phase reference."""
 
 
 class TargetPhase:
@@ -83,7 +81,6 @@ class TargetPhase:
         self._dog = sheet.dog
         self._window, self._prices = window, settings.prices
         self._brake_nm_per_pa = sheet.brake_nm_per_pa
-        self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
         self._timing = settings.timing
@@ -106,7 +103,7 @@ class TargetPhase:
         """Whether a sleeve that is fired anew, at `earliest_us` or later, is expected to cost less
         than one that is on its way to its contact."""
         on_way = predictor.trajectory(float(contact_us), 1.0, 1)
-        variances = predictor.variances(float(contact_us), 1.0, 1) + self._reference_variance
+        variances = predictor.variances(float(contact_us), 1.0, 1) + predictor.reference_variance
         stays = self._least(predictor, now_us, on_way, variances)[1]
         step_us, count = self._steps(predictor, earliest_us, FIRING_AHEAD_US)
         later = predictor.trajectory(float(earliest_us + predictor.delay_us), step_us, count)
@@ -172,7 +169,7 @@ class TargetPhase:
         measurement = last_measurement(predictor, self._timing)
         first_us, step_us, phase, _ = trajectory
         settled = predictor.known_variances(first_us, step_us, phase.size, now_us, measurement)
-        variances = settled + self._reference_variance
+        variances = settled + predictor.reference_variance
         best, _ = self._least(predictor, now_us, trajectory, variances)
         return trajectory.first_us + best * trajectory.step_us
 
@@ -194,7 +191,7 @@ class TargetPhase:
         known_us = known_until_stop_us(predictor, self._timing)
         before = round((max(0.0, first_us - firing_us) + known_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
-        return np.asarray(settled + self._reference_variance)
+        return np.asarray(settled + predictor.reference_variance)
 
     def _terms(self, predictor: GearPredictor) -> Vector:
         """The terms of `plan_kernels` for this gear."""

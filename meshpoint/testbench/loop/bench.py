@@ -36,6 +36,10 @@ COMMAND_EVERY: Final = 2
 """BenchCommand goes out every 20 ms."""
 REQUEST_EVERY_US: Final = 50_000
 PATIENCE_US: Final = 8_000_000
+RETURN_AGAIN_US: Final = 2_000_000
+"""A rig that has not returned to a gear in this time is asked again, and begins anew: a tooth may
+stand on a tooth. The way back takes half a second."""
+MOST_RETURNS: Final = PATIENCE_US // RETURN_AGAIN_US + 1
 """A step of the plan that takes longer has failed; the bench goes on with the next shift."""
 BENCH_IDS: Final = frozenset(
     CODECS[kind.__name__].spec.can_id
@@ -124,6 +128,8 @@ class BenchCore:
         self._next_us = 0
         self._ticks = 0
         self._asked_us = -REQUEST_EVERY_US
+        self._returns = 0
+        """How often the rig has been asked again to return to the gear of this shift."""
         self.index = 0
         """Number of the shift being made."""
         self.gave_up: list[int] = []
@@ -192,6 +198,8 @@ class BenchCore:
         waited_us = now_us - (self._since_us or 0)
         if self._is_over(now_us, waited_us):
             return self._advance(now_us)
+        if self._stage is Stage.RETURNING and self._seen.ready_in is None:
+            self._returns = waited_us // RETURN_AGAIN_US
         if waited_us > PATIENCE_US:
             self.gave_up.append(self.index)
             events = [f"bench: shift {self.index + 1} stuck in {self._stage.name.lower()}"]
@@ -244,6 +252,7 @@ class BenchCore:
             self._seen.outcome = False
         elif self._stage is Stage.RETURNING:
             self._seen = _Seen(status=self._seen.status)
+            self._returns = 0
             self.index += 1
             if self.index == len(self._plan):
                 self._stage = Stage.DONE
@@ -266,6 +275,6 @@ class BenchCore:
         return BenchCommand(
             action=action,
             gear=shift.from_,
-            sequence=(self.index + 1) & 0xFFFF,
+            sequence=(MOST_RETURNS * self.index + self._returns + 1) & 0xFFFF,
             main_speed_rad_s=shift.main_rad_s,
         )
