@@ -7,6 +7,7 @@ from typing import Final
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_ahead import brake_ahead
 from meshpoint.controller.shift.context import ShiftContext
+from meshpoint.controller.shift.speed_up import raise_ahead
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.to_neutral import (
@@ -71,6 +72,8 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     else:
         bring_to_neutral(context, snapshot, stands=False)
     brake_ahead(context, snapshot)
+    if gear is None or gear is MainGear.NEUTRAL:
+        raise_ahead(context, snapshot)
     return None
 
 

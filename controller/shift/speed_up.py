@@ -6,6 +6,7 @@ falls as in an upshift. The same is done when a gear has become too slow before 
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from meshpoint.controller.settings import MS_IN_US
@@ -51,9 +52,20 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     wanted = _raised_slip(context, snapshot)
     context.ask_engine(shift.target, wanted, snapshot)
     slip = snapshot.speeds.slip_rad_s(shift.target.main)
+    if slip is not None and (not shift.raising or shift.raising[-1][0] != snapshot.now_us):
+        shift.raising = [*shift.raising[-3:], (snapshot.now_us, slip)]
     closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
-    if closed and slip is not None and -SHORT_RAD_S <= slip - wanted <= OVER_RAD_S:
-        return Trigger.RAISED
+    if slip is not None and len(shift.raising) >= 3:
+        (first_us, first), (last_us, last) = shift.raising[0], shift.raising[-1]
+        rate = (last - first) / (last_us - first_us) * 1e6
+        share = snapshot.view.clutch_closed or 0.0
+        clutch = context.sheet.clutch
+        parts_s = max(0.0, share - clutch.kiss_share) * clutch.open_delay_s + 0.01
+        lag = context.sheet.engine.lag_s
+        ahead_s = lag * (1.0 - math.exp(-parts_s / lag))
+        if slip + max(0.0, rate) * ahead_s >= wanted - SHORT_RAD_S and slip - wanted <= OVER_RAD_S:
+            shift.raising = []
+            return Trigger.RAISED
     if _stays_beyond(context, wanted, snapshot):
         return context.give_up(snapshot, FaultCode.INPUT_OVERSPEED)
     if context.late(snapshot, context.settings.limits.raise_ms):
@@ -61,6 +73,16 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
             snapshot, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK
         )
     return None
+
+
+def raise_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """The engine may rise for a gear that is too slow as soon as the old one is out."""
+    target = context.running.target
+    slip = snapshot.speeds.slip_rad_s(target.main)
+    if slip is not None and slip < context.settings.window.contact_low_rad_s:
+        context.ask_engine(target, _raised_slip(context, snapshot), snapshot)
+    else:
+        context.engine_rad_s = None
 
 
 def _stays_beyond(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> bool:
@@ -105,5 +127,5 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     fall_s = parted_s + SEEN_LATE_US * US
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s
-    wanted = max(window.raised_rad_s, window.least_rad_s + ratio * drag_rad_s2 * stroke_s)
+    wanted = window.aim_slip_rad_s + ratio * drag_rad_s2 * stroke_s
     return wanted + ratio * drag_rad_s2 * fall_s

@@ -35,6 +35,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
     A gear that is too slow needs the engine (TOO_SLOW); one that is close enough needs no brake."""
     shift, now = context.running, snapshot.now_us
+    context.engine_rad_s = None
     gear = shift.target.main
     if context.late(snapshot, context.settings.limits.synchronise_ms):
         return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
