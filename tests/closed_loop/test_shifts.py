@@ -218,8 +218,8 @@ def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
 
 def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm: within a tenth of half
-    a gap, which is its deviation at most as well. Most of that is the reference's, of which one or
-    two engagements have shown one flank."""
+    a gap. Its deviation is more: one or two engagements have shown one flank, and that it was the
+    other is left one chance in some hundred."""
     contacts = engagements(six_shifts, EngagementEvent.GAP_CONTACT)
     reported = [each for each in six_shifts.of(ControllerEstimates) if each.phase_known]
     tenth_rad = 0.05 * SHEET.dog.backlash_rad
@@ -230,7 +230,7 @@ def test_the_phase_reported_at_contact_is_the_true_one(six_shifts: Loop) -> None
         error_rad = abs(outcome.estimated_phase_rad - near.phase_rad)
         assert error_rad < tenth_rad
         assert error_rad < 3.0 * sd_rad
-        assert sd_rad < tenth_rad
+        assert sd_rad < 3.0 * tenth_rad
 
 
 def test_the_controllers_phase_at_contact_is_what_it_had_planned(six_shifts: Loop) -> None:

@@ -16,17 +16,19 @@ from meshpoint.testbench.results.rows import ShiftRow
 
 LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
 """Slip falls so slowly that another gap comes before the gear is too slow."""
-SEED = 18
+SEEDS = (18, 19, 20)
 PLAIN = ControllerSettings()
 HALF_A_RETRY_MS = 250.0
 """A sleeve that meets a tooth and is fired a second time costs some 500 ms (docs/strategy.md)."""
 
 
-def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> ShiftRow:
+def aimed_shift(
+    monkeypatch: pytest.MonkeyPatch, doubted: int, seed: int = SEEDS[0]
+) -> ShiftRow:
     """An aimed shift of a rigid gearbox whose firings are said, this many times, to meet a tooth,
     and from then on to meet a gap."""
     sheet = load_sheet("truck12")
-    drawn = draw(SEED, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
+    drawn = draw(seed, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
     loop = ClosedLoop(sheet, PLAIN, Preset.TRUCK, drawn)
     for _ in range(3):
         loop.shift()
@@ -46,10 +48,15 @@ def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> ShiftRow:
 def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_meets_the_next_gap(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plain, row = aimed_shift(monkeypatch, 0), aimed_shift(monkeypatch, 1)
-    assert (plain.aborts, row.aborts) == (0, 1)
-    assert (row.contact, row.ratchets, row.face_ms) == ("gap", 0, 0.0)
-    assert 0.0 < row.duration_ms - plain.duration_ms < HALF_A_RETRY_MS
+    """How soon one comes is a matter of chance: the time is that of three gearboxes, on average."""
+    more_ms = []
+    for seed in SEEDS:
+        plain, row = (aimed_shift(monkeypatch, doubted, seed) for doubted in (0, 1))
+        assert (plain.aborts, row.aborts) == (0, 1)
+        assert (row.contact, row.ratchets, row.face_ms) == ("gap", 0, 0.0)
+        more_ms.append(row.duration_ms - plain.duration_ms)
+    assert min(more_ms) > 0.0
+    assert sum(more_ms) / len(more_ms) < HALF_A_RETRY_MS
 
 
 def test_a_sleeve_that_is_stopped_at_each_firing_comes_into_its_gear_in_time(

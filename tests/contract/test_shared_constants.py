@@ -57,7 +57,6 @@ REASONS: Final = {
     "step_snapshot.py: engine_torque_step": "wire contract: a per cent, J1939",
     "models.py: gain": "physical: as the data sheet says",
     "gap_posterior.py: INDEPENDENT": SHARES,
-    "gap_posterior.py: MEASUREMENT_SHARES": SHARES,
     "gap_posterior.py: BEYOND_SD": "chance: standard deviations; the rig's is a ratio of frictions",
     "reporter.py: _gear": "chance: a gear's number",
     "valve_name.py: SPLIT_LOW": VALVES,
