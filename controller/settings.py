@@ -95,14 +95,13 @@ class Window:
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
     aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=18.0 * RPM)
-    """`target_phase` releases the brake so that at this slip the phase is the target."""
+    """`target_phase` releases the brake so that at this slip the phase is the target; an engine
+    that raises a gear leaves this slip for the first contact that can be made."""
     aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=0.9)
     """Time from the brake's release to about where the slip is `aim_slip_rpm`, in time constants of
     the brake's pressure."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-50.0 * RPM)
     """Below this slip the engine has to help: waiting is no use, the layshaft only gets slower."""
-    raised_rad_s: float = quantity("raised_rpm", 5.0, 150.0, RPM, default=45.0 * RPM)
-    """The slip the engine leaves when the clutch has opened again: from there the gear falls."""
 
     def __post_init__(self) -> None:
         if self.contact_low_rad_s >= self.contact_high_rad_s:

@@ -27,6 +27,9 @@ SHORT_RAD_S: Final = 1.0
 """The slip may be this much less than asked for (10 rpm)."""
 OVER_RAD_S: Final = 3.0
 """The slip may be this much more than asked for (30 rpm): the brake removes the surplus."""
+CARRIED_RAD_S: Final = 1.5
+"""Plates carry the layshaft with the engine where the gear's slip by its own speed and by the
+engine's differ by less (15 rpm): both are some hundredths of a second old."""
 BEYOND_US: Final = 300 * MS_IN_US
 """For this long the speed that a gear needs may be above the input shaft's limit: a main shaft that
 swings comes back, a vehicle that rolls downhill does not."""
@@ -51,38 +54,47 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     context.clutch = ClutchAction.CLOSE
     wanted = _raised_slip(context, snapshot)
     context.ask_engine(shift.target, wanted, snapshot)
-    slip = snapshot.speeds.slip_rad_s(shift.target.main)
-    if slip is not None and (not shift.raising or shift.raising[-1][0] != snapshot.now_us):
-        shift.raising = [*shift.raising[-3:], (snapshot.now_us, slip)]
-    closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
-    if slip is not None and len(shift.raising) >= 3:
-        (first_us, first), (last_us, last) = shift.raising[0], shift.raising[-1]
-        rate = (last - first) / (last_us - first_us) * 1e6
-        share = snapshot.view.clutch_closed or 0.0
-        clutch = context.sheet.clutch
-        parts_s = max(0.0, share - clutch.kiss_share) * clutch.open_delay_s + 0.01
-        lag = context.sheet.engine.lag_s
-        ahead_s = lag * (1.0 - math.exp(-parts_s / lag))
-        if slip + max(0.0, rate) * ahead_s >= wanted - SHORT_RAD_S and slip - wanted <= OVER_RAD_S:
-            shift.raising = []
-            return Trigger.RAISED
+    if _is_raised(context, wanted, snapshot):
+        return Trigger.RAISED
     if _stays_beyond(context, wanted, snapshot):
         return context.give_up(snapshot, FaultCode.INPUT_OVERSPEED)
     if context.late(snapshot, context.settings.limits.raise_ms):
+        closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
         return context.give_up(
             snapshot, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK
         )
     return None
 
 
+def _is_raised(context: ShiftContext, wanted_rad_s: float, snapshot: StepSnapshot) -> bool:
+    """Whether the clutch is to open: the plates carry the layshaft with the engine, and that will
+    have brought the gear to the slip wanted as they part. The engine comes to what it was asked for
+    in its own time, and changes the slower the nearer it is."""
+    target, clutch = context.running.target, context.sheet.clutch
+    slip, engine, main = (
+        snapshot.speeds.slip_rad_s(target.main), snapshot.engine_rad_s, snapshot.speeds.main
+    )
+    if slip is None or engine is None or main is None:
+        return False
+    ratio = context.sheet.main_mesh(target.main).ratio * context.sheet.split_mesh(target.split).ratio
+    by_engine = ratio * engine - main
+    meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - clutch.kiss_share)
+    parting_s = meeting * clutch.open_delay_s + context.tick_us * US
+    lag_s = context.sheet.engine.lag_s
+    comes = ratio * context.torque.engine_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
+    is_carried = abs(slip - by_engine) < CARRIED_RAD_S
+    return is_carried and -SHORT_RAD_S <= by_engine + comes - wanted_rad_s <= OVER_RAD_S
+
+
 def raise_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """The engine may rise for a gear that is too slow as soon as the old one is out."""
-    target = context.running.target
+    """The engine rises for a gear that is too slow from when the old one is out of its teeth:
+    by the time the clutch is closed again it has come to its speed."""
+    target, window = context.running.target, context.settings.window
     slip = snapshot.speeds.slip_rad_s(target.main)
-    if slip is not None and slip < context.settings.window.contact_low_rad_s:
+    is_too_slow = slip is not None and slip < window.contact_low_rad_s
+    context.engine_rad_s = None
+    if is_too_slow and snapshot.view.clutch_parted:
         context.ask_engine(target, _raised_slip(context, snapshot), snapshot)
-    else:
-        context.engine_rad_s = None
 
 
 def _stays_beyond(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> bool:
@@ -111,12 +123,9 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 
 def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
-    """The slip (rad/s) to ask for: the slip wanted once the plates are measured apart, plus what
-    drag takes from the earliest on that plates of the sheet's tolerance part. The measurement comes
-    up to a sensor read and a tick later.
-
-    Wanted is what the settings say, and with shafts so light that drag takes more than that within
-    a stroke, as much as leaves the least slip at its end."""
+    """The slip (rad/s) to ask for: `aim_slip_rpm`, plus what drag takes from the earliest on that
+    plates of the sheet's tolerance part until a sleeve that is fired once they are measured apart
+    comes to its gear. The measurement comes up to a sensor read and a tick later."""
     sheet, target, window = context.sheet, context.running.target, context.settings.window
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0
@@ -127,5 +136,4 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     fall_s = parted_s + SEEN_LATE_US * US
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s
-    wanted = window.aim_slip_rad_s + ratio * drag_rad_s2 * stroke_s
-    return wanted + ratio * drag_rad_s2 * fall_s
+    return window.aim_slip_rad_s + ratio * drag_rad_s2 * (fall_s + stroke_s)

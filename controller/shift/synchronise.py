@@ -35,8 +35,9 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
     A gear that is too slow needs the engine (TOO_SLOW); one that is close enough needs no brake."""
     shift, now = context.running, snapshot.now_us
-    context.engine_rad_s = None
     gear = shift.target.main
+    # What was asked for while the old gear came out (`raise_ahead`) is asked for again if need be.
+    context.engine_rad_s = None
     if context.late(snapshot, context.settings.limits.synchronise_ms):
         return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
     predictor = context.predictor(gear, snapshot)

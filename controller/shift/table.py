@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum, auto
 from typing import Final
 
@@ -138,7 +138,6 @@ class ShiftRecord:
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""
     beyond_us: int | None = None
-    raising: list[tuple[int, float]] = field(default_factory=list)
     """Since when the new gear would turn the input shaft faster than it may."""
     pulses: int = 0
     """How often the brake was used, since the engine last raised the gear."""
