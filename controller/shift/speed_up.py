@@ -52,9 +52,9 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     """Closes the clutch and asks the engine for speed, until the gear has the slip wanted."""
     shift = context.running
     context.clutch = ClutchAction.CLOSE
-    wanted = _raised_slip(context, snapshot)
+    wanted, carried = _raised_slip(context, snapshot), _carried_slip(context, snapshot)
     context.ask_engine(shift.target, wanted, snapshot)
-    if _is_raised(context, wanted, snapshot):
+    if carried is not None and _comes_to(context, carried, wanted, snapshot):
         return Trigger.RAISED
     if _stays_beyond(context, wanted, snapshot):
         return context.give_up(snapshot, FaultCode.INPUT_OVERSPEED)
@@ -66,35 +66,41 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     return None
 
 
-def _is_raised(context: ShiftContext, wanted_rad_s: float, snapshot: StepSnapshot) -> bool:
-    """Whether the clutch is to open: the plates carry the layshaft with the engine, and that will
-    have brought the gear to the slip wanted as they part. The engine comes to what it was asked for
-    in its own time, and changes the slower the nearer it is."""
-    target, clutch = context.running.target, context.sheet.clutch
-    slip, engine, main = (
-        snapshot.speeds.slip_rad_s(target.main), snapshot.engine_rad_s, snapshot.speeds.main
-    )
-    if slip is None or engine is None or main is None:
-        return False
-    ratio = context.sheet.main_mesh(target.main).ratio * context.sheet.split_mesh(target.split).ratio
-    by_engine = ratio * engine - main
-    meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - clutch.kiss_share)
-    parting_s = meeting * clutch.open_delay_s + context.tick_us * US
-    lag_s = context.sheet.engine.lag_s
+def _carried_slip(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
+    """The gear's slip (rad/s) by the engine's speed, where the plates carry the layshaft with it;
+    None where they do not, or a speed is not known."""
+    gear, sheet = context.running.target, context.sheet
+    slip, main = snapshot.speeds.slip_rad_s(gear.main), snapshot.speeds.main
+    if slip is None or main is None or snapshot.engine_rad_s is None:
+        return None
+    ratio = sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
+    by_engine = ratio * snapshot.engine_rad_s - main
+    return by_engine if abs(slip - by_engine) < CARRIED_RAD_S else None
+
+
+def _comes_to(
+    context: ShiftContext, slip_rad_s: float, wanted_rad_s: float, snapshot: StepSnapshot
+) -> bool:
+    """Whether the engine brings the gear from its slip to the one wanted by the time that the
+    plates part, if they are told to now. It changes the slower the nearer it is to what it was
+    asked for."""
+    gear, sheet = context.running.target, context.sheet
+    ratio = sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
+    meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - sheet.clutch.kiss_share)
+    parting_s, lag_s = meeting * sheet.clutch.open_delay_s + context.tick_us * US, sheet.engine.lag_s
     comes = ratio * context.torque.engine_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
-    is_carried = abs(slip - by_engine) < CARRIED_RAD_S
-    return is_carried and -SHORT_RAD_S <= by_engine + comes - wanted_rad_s <= OVER_RAD_S
+    return -SHORT_RAD_S <= slip_rad_s + comes - wanted_rad_s <= OVER_RAD_S
 
 
 def raise_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    """The engine rises for a gear that is too slow from when the old one is out of its teeth:
-    by the time the clutch is closed again it has come to its speed."""
-    target, window = context.running.target, context.settings.window
-    slip = snapshot.speeds.slip_rad_s(target.main)
+    """The engine rises for a gear that is too slow from when the old one is out of its teeth, so
+    that it has come to its speed when the plates meet. Not where a sleeve has left neutral again."""
+    shift, window = context.running, context.settings.window
+    slip = snapshot.speeds.slip_rad_s(shift.target.main)
     is_too_slow = slip is not None and slip < window.contact_low_rad_s
     context.engine_rad_s = None
-    if is_too_slow and snapshot.view.clutch_parted:
-        context.ask_engine(target, _raised_slip(context, snapshot), snapshot)
+    if is_too_slow and snapshot.view.clutch_parted and not shift.returns:
+        context.ask_engine(shift.target, _raised_slip(context, snapshot), snapshot)
 
 
 def _stays_beyond(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> bool:
