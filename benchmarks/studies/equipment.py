@@ -74,7 +74,10 @@ class EquippedRun:
             bench.controller.sequence.predictor_source = source if is_known else None
             row = bench.shift()
             key = {"sweep": "", "sweep_value": 0.0, "seed": self.seed, "shift": number}
-            records.append(conditions.record(planned, row, strategy=str(self.equipment), **key))
+            strategy = str(self.equipment)
+            records.append(
+                conditions.record(planned, row, bench.refusal, strategy=strategy, **key)
+            )
             aborts += 0 if row is None else row.aborts
         return EquippedShifts(records, aborts)
 

@@ -94,8 +94,8 @@ def paired_runs(before: Outcomes, after: Iterable[JudgedShift]) -> list[PairedRu
     runs: dict[int, list[int]] = {}
     for record in after:
         was = before.get(record.seed, {}).get(record.shift)
-        if was is None:
-            continue
+        if was is None or (record.is_refused and not was.is_gap):
+            continue  # no pair of shifts
         _check_draw(was, record)
         counts = runs.setdefault(record.seed, [0, 0, 0, 0])
         now = record.is_gap

@@ -83,7 +83,7 @@ def _command(
     pairs = ",".join(f"{a}-{b}" for a, b in namespace.pairs)
     values = {
         "runs": namespace.runs, "learn": namespace.learn, "judged": namespace.judged,
-        "pairs": pairs, "preset": namespace.preset, "seed": namespace.seed,
+        "pairs": pairs, "rest": namespace.rest, "preset": namespace.preset, "seed": namespace.seed,
         "estimator": namespace.estimator, "strategy": strategy, "jobs": jobs, "out": work, **files,
     }  # fmt: skip
     return ["campaign"] + [

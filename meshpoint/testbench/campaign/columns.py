@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args, get_type_hin
 import numpy as np
 from numpy.typing import NDArray
 
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.kernels.records import Integers
 from meshpoint.testbench.campaign.record import GAP, JudgedShift
+from meshpoint.testbench.results.shift_figures import REFUSED
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,6 +31,10 @@ WIDTHS: Final[dict[type, type[np.generic]]] = {
     int: np.int64, float: np.float64, bool: np.bool_, str: np.int32,
 }  # fmt: skip
 """A word is a number in the list of words."""
+PLACES: Final = np.array(
+    [0, *(10 * gear.range_ + gear.main for _, gear in sorted(DRIVE_GEARS.items()))]
+)
+"""By number of a drive gear, what its main box and its range stand in."""
 
 
 class Field(NamedTuple):
@@ -194,6 +200,19 @@ class Shifts:
     def engaged(self) -> NDArray[np.bool_]:
         """Whether the gear is in."""
         return self.is_("result", "engaged")
+
+    @property
+    def refused(self) -> NDArray[np.bool_]:
+        """Whether the controller has not begun it."""
+        return self.is_("result", REFUSED)
+
+    @property
+    def meet_teeth(self) -> NDArray[np.bool_]:
+        """Whether dog teeth have to meet: all but changes of the splitter alone."""
+        places: NDArray[np.bool_] = (
+            PLACES[self.column("from_gear")] != PLACES[self.column("to_gear")]
+        )
+        return places
 
     @property
     def words(self) -> list[str | None]:

@@ -102,6 +102,11 @@ def add_parser(commands: Any) -> None:
         help="gear changes to draw from, as 8-10,10-12 (default: all upshifts of the main box)",
     )  # fmt: skip
     parser.add_argument(
+        "--rest", type=given_numbers.whole(0, 60_000), metavar="MS",
+        help="in the old gear from its clutch's closing to the request (default: until the "
+        "driveline has settled)",
+    )  # fmt: skip
+    parser.add_argument(
         "--sweep", type=_sweep, action="append", default=[], metavar="NAME=V1,V2,...",
         help="all runs again at each of these values, for curves: backlash_percent, delay_sd_ms, "
         "or a controller setting, as window.aim_slip_rpm; may be repeated",
@@ -242,6 +247,7 @@ def run(namespace: argparse.Namespace) -> int:
         learn=namespace.learn,
         judged=namespace.judged or (JUDGED if namespace.until is None else JUDGED_UNTIL),
         judged_blind=_judged_blind(namespace),
+        rest_us=None if namespace.rest is None else 1000 * namespace.rest,
         seed=namespace.seed,
         profile=built.profile,
         wire=arguments.wire_of(namespace),

@@ -120,6 +120,19 @@ def own_strategy(settings: str | None) -> str:
     return str(values.get("strategy", ControllerSettings().strategy_name))
 
 
+def start(source: Path | None, command: list[str], said: Path) -> subprocess.Popen[bytes]:
+    """A process with these arguments of `meshpoint`; what it says goes to a file. `source`: the
+    folder that holds its package, None for the product that is running."""
+    source = _package().parent if source is None else source
+    path = os.pathsep.join(filter(None, (str(source), os.environ.get("PYTHONPATH"))))
+    with said.open("wb") as file:
+        return subprocess.Popen(  # noqa: S603 (the product itself)
+            [sys.executable, "-P", "-c", START, str(source), *command],
+            stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT,
+            env=os.environ | {"PYTHONPATH": path},
+        )  # fmt: skip
+
+
 class GitBaseline:
     """The product of a commit at work in a process of its own. Ends it when closed."""
 
@@ -130,16 +143,9 @@ class GitBaseline:
         folder that holds its package, None for the product that is running."""
         self.name = str(commit)
         self._commit, self._work, self._strategy = commit, work, strategy
-        source = _package().parent if source is None else source
-        path = os.pathsep.join(filter(None, (str(source), os.environ.get("PYTHONPATH"))))
         work.mkdir(parents=True, exist_ok=True)
         self._said = work / "before.log"
-        with self._said.open("wb") as said:
-            self._process = subprocess.Popen(  # noqa: S603 (the product itself)
-                [sys.executable, "-P", "-c", START, str(source), *command],
-                stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT,
-                env=os.environ | {"PYTHONPATH": path},
-            )  # fmt: skip
+        self._process = start(source, command, self._said)
         self._seen: dict[Path, Outcomes] = {}
 
     def first(self, seeds: list[int]) -> Outcomes:

@@ -57,9 +57,14 @@ SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
 
 
-def short_pauses(sheet: GearboxSheet, profile: Profile) -> Pauses:
+def short_pauses(
+    sheet: GearboxSheet, profile: Profile, rest_us: int | None = None
+) -> Pauses:
     """As everywhere on a driveline that twists, which the profile alone says here, whatever the
-    preset; on a rigid one no longer than what each is for."""
+    preset; on a rigid one no longer than what each is for. `rest_us`: in place of either, from when
+    the controller says that it is in the old gear with its clutch closed."""
+    if rest_us is not None:
+        return Pauses(settle_us=rest_us, learned_us=LEARNED_US)
     usual = pauses_of(sheet, profile)
     return replace(usual, settle_us=0, locked_us=LOCKED_US, learned_us=LEARNED_US)
 
@@ -76,9 +81,11 @@ class ClosedLoop:
         log: list[tuple[int, Frame]] | None = None,
         wire: WireProfile = WireProfile.FD,
         known: tuple[GearboxSheet, Calibration | None] | None = None,
+        rest_us: int | None = None,
     ) -> None:
         """`log`: every frame of the bus with its time is put in here; a copy has its own. `known`:
-        the data sheet and calibration that the controller has, where they are not the gearbox's."""
+        the data sheet and calibration that the controller has, where they are not the gearbox's.
+        `rest_us`: as in `short_pauses`."""
         self._sheet = sheet
         self.log = log
         setup = Setup(
@@ -92,13 +99,13 @@ class ClosedLoop:
         )
         self._rig = RigCore(sheet, setup.rig(drawn.plan[0], FAST_RETURN_RAMP_S))
         self._settings = settings
-        self._made = 0
+        self._made = self._refused = 0
         believed, calibration = known or (sheet, None)
         self.controller = ControllerCore(
             new_header(product_version(), believed, settings, calibration)
         )
         """The controller itself, to be looked at."""
-        self._bench = BenchCore(drawn.plan, short_pauses(sheet, drawn.profile))
+        self._bench = BenchCore(drawn.plan, short_pauses(sheet, drawn.profile, rest_us))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         if log is None and wire is WireProfile.FD:
             self.controller.leave_unread(UNREAD)
@@ -147,15 +154,21 @@ class ClosedLoop:
         self._run(lambda: bench.index == made and bench.is_asking)
 
     def shift(self) -> ShiftRow | None:
-        """The next shift of the plan, up to its outcome; None where it came to none."""
+        """The next shift of the plan, up to its outcome; None where it came to none, or was
+        refused (`refusal`)."""
         self.prepare()
         bench, rows = self._bench, self._scorer.rows
-        made, before = self._made, len(rows)
+        made, before, self._refused = self._made, len(rows), len(self._scorer.refusals)
         self._run(lambda: len(rows) > before or bench.index > made)
         self._made += 1
         if len(rows) > before:
             self._until_the_row_is_complete(rows)
         return rows[-1] if len(rows) > before else None
+
+    @property
+    def refusal(self) -> str | None:
+        """The fault for which the last shift was refused; None: it was not."""
+        return next(iter(self._scorer.refusals[self._refused :]), None)
 
     def _until_the_row_is_complete(self, rows: list[ShiftRow]) -> None:
         """Goes on until the gear of the last row has locked and the clutch's plates have met, if

@@ -11,7 +11,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.results.shift_figures import ShiftFigures
+from meshpoint.testbench.results.shift_figures import NO_OUTCOME, REFUSED, ShiftFigures
 from meshpoint.testbench.results.shift_parts import ShiftParts
 from meshpoint.units import MM, RPM
 
@@ -70,6 +70,11 @@ class JudgedShift(ShiftFigures):
         """Whether the gear is in."""
         return self.result == "engaged"
 
+    @property
+    def is_refused(self) -> bool:
+        """Whether the controller has not begun it."""
+        return self.result == REFUSED
+
     def to_row(self) -> dict[str, Any]:
         """By name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
@@ -105,11 +110,19 @@ class Conditions:
         self._sheet = sheet
         self._as_built = as_built
 
-    def record(self, planned: PlannedShift, row: ShiftRow | None, **key: Any) -> JudgedShift:
-        """The record of a shift; `row` None: there was no outcome. `key`: sweep to strategy."""
+    def record(
+        self, planned: PlannedShift, row: ShiftRow | None, refusal: str | None = None, **key: Any
+    ) -> JudgedShift:
+        """The record of a shift; `row` None: there was no outcome, or the request was refused for
+        the fault `refusal`. `key`: sweep to strategy."""
         gear = DRIVE_GEARS[planned.to].main
         old = self._sheet.main_mesh(DRIVE_GEARS[planned.from_].main).ratio
-        none = ShiftFigures(strategy="", pitch_deg=math.degrees(self._sheet.dog.pitch_rad))
+        none = ShiftFigures(
+            strategy="",
+            pitch_deg=math.degrees(self._sheet.dog.pitch_rad),
+            result=NO_OUTCOME if refusal is None else REFUSED,
+            fault=refusal or "none",
+        )
         shared = {name: getattr(row or none, name) for name in SHARED}
         bound_ms = kinematic_bound_ms(
             self._sheet, self._as_built, (planned.from_, planned.to), planned.main_rad_s

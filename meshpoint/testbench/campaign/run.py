@@ -61,7 +61,9 @@ def _settle_once() -> None:
 def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
     shifts = spec.learn + spec.judged
     drawn = draw(job.seed, spec.sheet, spec.preset, spec.pairs, shifts, spec.as_built, spec.profile)
-    bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, wire=spec.wire)
+    bench = ClosedLoop(
+        spec.sheet, spec.settings, spec.preset, drawn, wire=spec.wire, rest_us=spec.rest_us
+    )
     for _ in range(spec.learn):
         bench.shift()
     if drawn.judged:
@@ -74,9 +76,9 @@ def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
             bench.shift()
             made += 1
         bench.prepare()
-        for name, row in _judged(spec, spec.judges(k), bench, errors).items():
+        for name, (row, refusal) in _judged(spec, spec.judges(k), bench, errors).items():
             key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
-            record = conditions.record(planned, row, **key, shift=k, strategy=name)
+            record = conditions.record(planned, row, refusal, **key, shift=k, strategy=name)
             records[name].append(record)
     rows = list(itertools.chain.from_iterable(records.values()))
     return RunResult(job, rows, made + len(rows), strategy_errors=errors)
@@ -84,15 +86,16 @@ def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
 
 def _judged(
     spec: CampaignSpec, names: tuple[str, ...], bench: ClosedLoop, errors: Counter[str]
-) -> dict[str, ShiftRow | None]:
-    """One shift by each of these strategies, on copies of the bench; that goes on by its own."""
-    rows: dict[str, ShiftRow | None] = {}
+) -> dict[str, tuple[ShiftRow | None, str | None]]:
+    """One shift by each of these strategies, on copies of the bench; that goes on by its own. Its
+    row, and the fault for which it was refused."""
+    rows: dict[str, tuple[ShiftRow | None, str | None]] = {}
     for name in names:
         if name != spec.own:
             copy = bench.fork()
             copy.use(spec.engagement(name), knows_all=name == TRUE_STATE)
-            rows[name] = copy.shift()
+            rows[name] = copy.shift(), copy.refusal
             errors += copy.strategy_errors
     if spec.own in spec.names:
-        rows[spec.own] = bench.shift()
+        rows[spec.own] = bench.shift(), bench.refusal
     return rows

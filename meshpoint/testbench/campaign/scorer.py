@@ -30,6 +30,11 @@ class Scorer:
         return self._rows.rows
 
     @property
+    def refusals(self) -> list[str]:
+        """Of each request refused so far, the fault that it was refused for."""
+        return self._rows.refusals
+
+    @property
     def next_step_us(self) -> int:
         """It has nothing to say."""
         return NO_STEP_US

@@ -62,6 +62,8 @@ class CampaignSpec:
     judged_blind: int | None = None
     """Of the judged shifts of a run, this many are also made by strategies that are blind to the
     phase, if they are not the controller's own. None: all."""
+    rest_us: int | None = None
+    """In the old gear before a request; None: until the driveline has settled."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,6 +110,7 @@ class CampaignSpec:
             ({"strategy_files": files} if files else {})
             | wire
             | ({} if self.judged_blind is None else {"judged_shifts_blind": self.judged_blind})
+            | ({} if self.rest_us is None else {"rest_us": self.rest_us})
             | {
                 "strategies": list(self.names),
                 "pairs": [list(pair) for pair in self.pairs],

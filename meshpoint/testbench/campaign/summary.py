@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from meshpoint.kernels.records import Integers, Vector
 from meshpoint.testbench.campaign.columns import Shifts
@@ -31,30 +32,51 @@ from meshpoint.testbench.results.rows import SOURCES
 from meshpoint.testbench.results.shift_parts import PARTS
 
 P99: Final = 0.99
+LEAST_SD_DEG: Final = 1e-6
 Figure = Callable[["Shots"], tuple[Vector, Integers]]
 
 
 class Shots:
-    """The judged shifts of one strategy; `cluster` numbers their runs."""
+    """The judged shifts of one strategy that were not refused; `cluster` numbers their runs."""
 
     def __init__(self, shifts: Shifts, cluster: Integers) -> None:
-        self.shifts, self.cluster = shifts, cluster
-        self.is_gap = shifts.is_gap
-        self.impact_j: Vector = shifts.column("impact_j")
-        self._durations: Vector = shifts.column("duration_ms")
+        made = ~shifts.refused
+        self.shifts, self.cluster = shifts.where(made), cluster[made]
+        self.refused = int(shifts.refused.sum())
+        """Requests that the controller has not begun: no shifts."""
+        self.is_gap = self.shifts.is_gap
+        self.meets = self.shifts.meet_teeth
+        """Of the shifts, those that bring dog teeth together."""
+        self.impact_j: Vector = self.shifts.column("impact_j")
+        self._durations: Vector = self.shifts.column("duration_ms")
 
     def gaps(self) -> tuple[Vector, Integers]:
-        """1 where the first contact was in a gap, and the runs."""
-        return self.is_gap.astype(np.float64), self.cluster
+        """1 where the first contact was in a gap, of the shifts with teeth to meet, and the
+        runs."""
+        return self.is_gap[self.meets].astype(np.float64), self.cluster[self.meets]
 
-    def rate(self, which: NDArray[np.bool_]) -> Rate:
-        """Share of the shifts that are so, with its interval; NaN where there was no shift."""
+    def rate(self, which: NDArray[np.bool_], among: NDArray[np.bool_] | None = None) -> Rate:
+        """Share of the shifts (`among` them) that are so, with its interval; NaN where there was no
+        shift."""
+        chosen = np.ones(which.size, dtype=np.bool_) if among is None else among
+        which, clusters = which[chosen], np.unique(self.cluster[chosen], return_inverse=True)[1]
         share = float(which.mean()) if which.size else math.nan
-        return Rate(share, *rate_interval(which, self.cluster))
+        return Rate(share, *rate_interval(which, clusters))
 
     def gap_rate(self) -> Rate:
-        """Share of first contacts in a gap."""
-        return self.rate(self.is_gap)
+        """Share of first contacts in a gap, of the shifts with teeth to meet."""
+        return self.rate(self.is_gap, self.meets)
+
+    def promise(self) -> tuple[Vector, NDArray[np.bool_]]:
+        """Of the shifts fired once with a phase predicted: the probability of its gap that the
+        controller saw when it fired, and whether the tooth met a gap."""
+        column = self.shifts.column
+        phase, sd = column("predicted_phase_deg"), column("predicted_phase_sd_deg")
+        once = ~np.isnan(phase) & (column("attempts") == 1)
+        half = 0.5 * column("pitch_deg") * column("backlash_percent") / 100.0
+        sd = np.maximum(sd, LEAST_SD_DEG)
+        said = ndtr((half - phase) / sd) - ndtr((-half - phase) / sd)
+        return said[once], self.is_gap[once]
 
     def impacts(self) -> tuple[Vector, Integers]:
         """Loss in flank impacts, J, and the runs."""
@@ -110,7 +132,9 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
     aborts = shifts.column("aborts")
     return {
         "shifts": len(shifts),
+        "refused": shots.refused,
         "first_contact_gap": _rate(shots.gap_rate()),
+        "promise": _promise(shots),
         "duration_ms": {
             "mean": _mean(durations),
             "mean_ci95": interval(resamples.of(name, "duration_ms_mean")),
@@ -151,6 +175,11 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
         },
         "by_gear": _by_gear(shots),
     }
+
+
+def _promise(shots: Shots) -> dict[str, Any]:
+    said, kept = shots.promise()
+    return {"shifts": said.size, "said": _mean(said), "kept": _mean(kept)}
 
 
 def _over_bound(shots: Shots) -> float | None:
@@ -252,13 +281,9 @@ def curve_point(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Any]:
     """What a curve needs at one point: rate with its interval, time and energy a strategy."""
     found = {}
     for name, shots in by_strategy(shifts, names).items():
-        low, high = rate_interval(shots.is_gap, shots.cluster)
         found[name] = {
             "shifts": len(shots.shifts),
-            "first_contact_gap": {
-                "rate": _mean(shots.is_gap),
-                "ci95": [finite(low), finite(high)],
-            },
+            "first_contact_gap": _rate(shots.gap_rate()),
             "duration_ms_mean": _mean(shots.durations()[0]),
             "impact_j_mean": _mean(shots.impact_j),
         }
@@ -269,15 +294,10 @@ def _by_gear(shots: Shots) -> dict[str, Any]:
     found = {}
     for gear in sorted(map(str, shots.shifts.words_of("main_gear"))):
         chosen = shots.shifts.is_("main_gear", gear)
-        clusters = np.unique(shots.cluster[chosen], return_inverse=True)[1]
-        low, high = rate_interval(shots.is_gap[chosen], clusters)
         found[gear] = {
             "ratio": finite(shots.shifts.column("ratio")[chosen][0]),
             "shifts": int(chosen.sum()),
-            "first_contact_gap": {
-                "rate": _mean(shots.is_gap[chosen]),
-                "ci95": [finite(low), finite(high)],
-            },
+            "first_contact_gap": _rate(shots.rate(shots.is_gap, chosen & shots.meets)),
             "impact_j_mean": _mean(shots.impact_j[chosen]),
         }
     return found

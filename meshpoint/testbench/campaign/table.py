@@ -152,7 +152,10 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "bounced off": lambda f: str(f["thrown_back"]),
     "outside window": lambda f: str(f["outside_window"]),
     "not engaged": lambda f: str(f["given_up"]),
+    "refused": lambda f: str(f["refused"]),
     "phase sd deg": lambda f: number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),
+    "gap promised": lambda f: _percent(f["promise"]["said"]),
+    "of these, met": lambda f: _percent(f["promise"]["kept"]),
 }
 """A line of the table each, here and on the page."""

@@ -102,6 +102,8 @@ class RowCollector:
         self._closing_since_us: int | None = None
         """From here on the last row waits for the plates to meet."""
         self.rows: list[ShiftRow] = []
+        self.refusals: list[str] = []
+        """Of each request that was refused, the fault that it was refused for."""
 
     def take(self, message: Message) -> None:
         """One message in bus order."""
@@ -109,8 +111,11 @@ class RowCollector:
             self._road.take(message)
         elif isinstance(message, ReferenceEngagement):
             self._event(message)
-        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
-            self._ended(message)
+        elif isinstance(message, ShiftOutcome):
+            if message.result is ShiftResult.REFUSED:
+                self.refusals.append(message.fault.name.lower())
+            else:
+                self._ended(message)
 
     def _event(self, event: ReferenceEngagement) -> None:
         self._events.append(event)

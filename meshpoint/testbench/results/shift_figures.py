@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 NO_OUTCOME: Final = "no_outcome"
+REFUSED: Final = "refused"
+"""Of a request that the controller has not begun."""
 
 
 @dataclass(frozen=True, kw_only=True)

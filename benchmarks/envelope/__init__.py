@@ -1,0 +1,1 @@
+"""Every kind of shift, sheet and sensor in one table: a campaign of campaigns."""

@@ -1,0 +1,110 @@
+"""The table for people: a line a row, below the conditions that it was made under."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from rich.table import Table
+
+from benchmarks.envelope.making import OWN, Made
+from benchmarks.envelope.rows import GROUPS, Group, Row
+from benchmarks.envelope.verdict import WORDS
+from meshpoint.testbench.campaign.spec import TRUE_STATE
+
+COLUMNS: Final = (
+    "shifts", "first in gap", "true state", "after ramp, ms", "99 of 100", "J", "outside window",
+    "not engaged", "refused", "reference known", "promised", "met",
+)  # fmt: skip
+ABOUT: Final = """\
+**first in gap**: share of first contacts in a gap, 95 % interval; **true state**: the same draws with the rig's true state.
+**after ramp**: from the end of the torque ramp to the shift's end, mean, and what 99 of 100 take at most. **J**: lost in flank impacts until the gear has locked.
+**outside window**: contacts outside the guard's slip window. **refused**: requests that the controller did not begin, no shifts.
+**promised**, **met**: of the shifts fired once at a known phase, the probability of the gap when the sleeve was fired, and how often it was met."""
+
+
+def figures(made: Made) -> dict[str, Any]:
+    """What a row comes to; None where there is no such figure, as in an older product."""
+    strategies = made.values["strategies"]
+    own, promise = strategies[OWN], strategies[OWN].get("promise", {})
+    true = strategies.get(TRUE_STATE)
+    return {
+        "shifts": own["shifts"],
+        "gap": own["first_contact_gap"],
+        "true_state": true and true["first_contact_gap"]["rate"],
+        "after_ramp_ms": {key: own["after_ramp_ms"][key] for key in ("mean", "p99")},
+        "impact_j": own["impact_j"]["mean"],
+        "outside_window": own.get("outside_window"),
+        "not_engaged": own["given_up"],
+        "refused": own.get("refused"),
+        "reference_known": own["reference_known"],
+        "promised": promise.get("said"),
+        "met": promise.get("kept"),
+        "failed_runs": len(made.values["failed"]),
+        "seconds": made.seconds,
+    }
+
+
+def cells(found: Mapping[str, Any]) -> list[str]:
+    """A row's figures as `COLUMNS` has them."""
+    gap, time_ms = found["gap"], found["after_ramp_ms"]
+    share = _share(gap["rate"])
+    if gap["rate"] is not None:
+        share += f" ({_share(gap['ci95'][0])} to {_share(gap['ci95'][1])})"
+    return [
+        str(found["shifts"]), share, _share(found["true_state"]), _number(time_ms["mean"]),
+        _number(time_ms["p99"]), _number(found["impact_j"], 2),
+        *(_number(found[key]) for key in ("outside_window", "not_engaged", "refused")),
+        *(_share(found[key]) for key in ("reference_known", "promised", "met")),
+    ]  # fmt: skip
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def _number(value: float | None, digits: int = 0) -> str:
+    return "-" if value is None else f"{value:,.{digits}f}"
+
+
+def on_screen(rows: Mapping[str, Any], title: str) -> Table:
+    """The rows made, for a terminal."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table.add_column("row", no_wrap=True)
+    judged = any("against" in found for found in rows.values())
+    for column in (*COLUMNS, *(["against"] if judged else [])):
+        table.add_column(column.replace(" ", "\n", 1), justify="right")
+    for name, found in rows.items():
+        verdict = [_verdict(found)] if judged else []
+        table.add_row(name, *cells(found), *verdict)
+    return table
+
+
+def _verdict(found: Mapping[str, Any]) -> str:
+    against = found.get("against")
+    return "-" if against is None else WORDS[against["verdict"]]
+
+
+def markdown(values: Mapping[str, Any]) -> str:
+    """The whole table as a page."""
+    conditions, rows = values["conditions"], values["rows"]
+    lines = ["# The envelope", "", conditions["words"], "", ABOUT.replace("\n", "  \n"), ""]
+    for group in GROUPS:
+        chosen = [row for row in group.rows if row.name in rows]
+        lines += _group(group, chosen, rows) if chosen else []
+    return "\n".join(lines)
+
+
+def _group(group: Group, chosen: list[Row], rows: Mapping[str, Any]) -> list[str]:
+    judged = any("against" in found for found in rows.values())
+    head = ["row", "what is changed", *COLUMNS, *(["against"] if judged else [])]
+    lines = [f"## {group.title}", "", group.about, "", _line(head), "|---" * len(head) + "|"]
+    for row in chosen:
+        found = rows[row.name]
+        verdict = [_verdict(found)] if judged else []
+        lines.append(_line([f"`{row.name}`", f"{row.changed}: {row.why}", *cells(found), *verdict]))
+    return [*lines, ""]
+
+
+def _line(words: list[str]) -> str:
+    return "| " + " | ".join(words) + " |"
