@@ -60,9 +60,7 @@ def parser() -> Parser:
             "python -m benchmarks.envelope --resume --markdown docs/envelope.md",
         ),
     )
-    found.add_argument(
-        "--only", type=_names, metavar="ROW,...", help="rows to make (default: all)"
-    )
+    found.add_argument("--only", type=_names, metavar="ROW,...", help="rows to make (default: all)")
     found.add_argument("--list", action="store_true", help="show the rows and make none")
     found.add_argument(
         "--quick", action="store_true", help="a third of the draws, without the true state"
@@ -182,10 +180,11 @@ class _Pace:
         left = sum(self._left.values())
         spent_s = time.monotonic() - self._began_s
         some_s = spent_s * left / max(1, self._shifts - left)
-        shifts, gap, *_, = cells(figures(row))
+        shifts, gap = cells(figures(row))[:2]
         return (
-            f"{self._all - len(self._left)} of {self._all} {work.row.name}, {work.product.words}: "
-            f"{shifts} shifts, first in gap {gap}, {row.seconds:.0f} s; some {some_s / 60:.0f} min left"
+            f"{self._all - len(self._left)} of {self._all}: {work.row.name}, {work.product.words}, "
+            f"{shifts} shifts, first in gap {gap}, {row.seconds:.0f} s; "
+            f"some {some_s / 60:.0f} min left"
         )
 
 
@@ -217,9 +216,7 @@ def _values(
     return values
 
 
-def _conditions(
-    namespace: argparse.Namespace, rows: list[Row], product: Product
-) -> dict[str, Any]:
+def _conditions(namespace: argparse.Namespace, rows: list[Row], product: Product) -> dict[str, Any]:
     seeds = sorted({row.seed for row in rows})
     today = dt.datetime.now(dt.UTC).date().isoformat()
     machine = f"{os.cpu_count()} processors, {platform.machine()}"
@@ -249,7 +246,11 @@ def _write(namespace: argparse.Namespace, values: dict[str, Any]) -> int:
         for name, found in values["rows"].items():
             if (judged := found.get("against", {})).get("in"):
                 out.print(f"{name}: {WORDS[judged['verdict']]}, in {', '.join(judged['in'])}")
-    verdicts_found = {found["against"]["verdict"] for found in values["rows"].values() if "against" in found}
-    if FELL in verdicts_found or any(found["failed_runs"] for found in values["rows"].values()):
+    return _exit(values["rows"])
+
+
+def _exit(rows: dict[str, Any]) -> Exit:
+    judged = {found["against"]["verdict"] for found in rows.values() if "against" in found}
+    if FELL in judged or any(found["failed_runs"] for found in rows.values()):
         return Exit.FAILED
-    return Exit.NOT_DECIDED if DOUBT in verdicts_found else Exit.DONE
+    return Exit.NOT_DECIDED if DOUBT in judged else Exit.DONE

@@ -202,7 +202,8 @@ def _ended(processes: Iterable[subprocess.Popen[bytes]]) -> Iterator[None]:
 def _start(work: Work, files: Path) -> subprocess.Popen[bytes]:
     folder = folder_for(work.product.row(work.row))
     where = ["--jobs", "1"] if work.dask is None else ["--dask", work.dask]
-    words = [*work.arguments(files), *where, "--out", str(folder), "--json", str(folder / RESULT_FILE)]
+    kept = ["--out", str(folder), "--json", str(folder / RESULT_FILE)]
+    words = [*work.arguments(files), *where, *kept]
     if (folder / CAMPAIGN_FILE).is_file():
         words.append("--resume")
     return start(work.product.source, words, folder / SAID_FILE)

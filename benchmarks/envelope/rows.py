@@ -5,6 +5,7 @@ A row is a campaign of the sheet `truck12`. To add one, add it here; nothing els
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -74,6 +75,9 @@ def one_change(
     )
 
 
+BOXES: Final = ("main", "split", "range_")
+
+
 def steps(pairs: Iterable[tuple[int, int]]) -> tuple[str, str]:
     """The argument for these gear changes."""
     return "--pairs", ",".join(f"{before}-{after}" for before, after in pairs)
@@ -85,15 +89,16 @@ def changes(what: Iterable[str], by: int) -> list[tuple[int, int]]:
     found = []
     for before, a in DRIVE_GEARS.items():
         for after, b in DRIVE_GEARS.items():
-            differs = {key for key in ("main", "split", "range_") if getattr(a, key) != getattr(b, key)}
-            if differs == wanted and ("main" not in wanted or b.main - a.main == by):
+            if {key for key in BOXES if getattr(a, key) != getattr(b, key)} == wanted and (
+                "main" not in wanted or b.main - a.main == by
+            ):
                 found.append((before, after))
     return found
 
 
 BY_RATIO: Final = (13, 14, *range(1, 13))
 """All gears from the lowest."""
-NEIGHBOURS: Final = [*zip(BY_RATIO, BY_RATIO[1:], strict=False)]
+NEIGHBOURS: Final = tuple(itertools.pairwise(BY_RATIO))
 DOWN: Final = (*changes({"main"}, -1)[2:], (1, 13), (2, 14))
 BACK_OF_RANGE: Final = ((7, 5), (8, 6), (7, 6))
 ACROSS_RANGE: Final = ((5, 7), (6, 8), (6, 7))
@@ -146,7 +151,7 @@ DEVIATIONS: Final = Group(
                    "[disturbance]\nlayshaft_nm = 3\n"),
         one_change("hall_20", "Hall edges 20 us, 0.3 deg, 0.2 mm", "worn wheels",
                    HALL.format(20)),
-        one_change("hall_40", "Hall edges 40 us, 0.3 deg, 0.2 mm", "a reference that is hard to learn",
+        one_change("hall_40", "Hall edges 40 us, 0.3 deg, 0.2 mm", "a reference hard to learn",
                    HALL.format(40)),
         one_change("soft_shafts", "shafts of 20,000 Nm/rad, 20 Nms, no backlash",
                    "a driveline that swings and hardly damps",
@@ -189,15 +194,15 @@ SHEETS: Final = Group(
 )  # fmt: skip
 KINDS: Final = Group(
     "Kinds of shift",
-    "Profile `typical` unless said; upshifts by one main gear are the row `typical`. Changes of the "
-    "splitter alone have no dog teeth to meet.",
+    "Profile `typical` unless said; upshifts by one main gear are the row `typical`. Changes of "
+    "the splitter alone have no dog teeth to meet.",
     (
         Row("down", "downshifts by one main gear", "the engine raises the gear", words=steps(DOWN)),
         one_change("down_clean", "the same, profile `clean`", "without the driveline's swing",
                    words=steps(DOWN)),
         Row("splitter", "splitter alone", "time and failures",
             words=steps(changes({"split"}, 0))),
-        Row("splitter_up", "splitter and main gear, up", "the usual half step",
+        Row("splitter_up", "splitter and main gear, up", "the layshaft is brought twice",
             words=steps(changes({"split", "main"}, 1))),
         Row("splitter_down", "splitter and main gear, down", "the same, raised",
             words=steps(changes({"split", "main"}, -1))),
@@ -209,7 +214,7 @@ KINDS: Final = Group(
             words=steps(changes({"main"}, 2))),
         Row("skip_down", "two main gears at once, down", "raised for long",
             words=steps(changes({"main"}, -2))),
-        Row("all_gears", "each of the 14 gears to the next, up and down", "gears that others leave out",
+        Row("all_gears", "each of the 14 gears to the next, up and down", "as in driving",
             words=steps([*NEIGHBOURS, *((b, a) for a, b in NEIGHBOURS)])),
     ),
 )  # fmt: skip
@@ -224,11 +229,11 @@ LEARNING: Final = Group(
 )  # fmt: skip
 RESTS: Final = Group(
     "Time since the last shift",
-    "Profile `typical`: from the clutch's closing in the old gear to the request; elsewhere until the "
-    "driveline has settled, 0.6 to 3 s.",
+    "Profile `typical`: from the clutch's closing in the old gear to the request; elsewhere until "
+    "the driveline has settled, 0.6 to 3 s.",
     tuple(
         Row(f"rest_{ms}", f"{ms:,} ms after the last shift", why, words=("--rest", str(ms)))
-        for ms, why in ((0, "the driveline swings as it does after a lock"), (150, "the same, less"),
+        for ms, why in ((0, "the driveline swings as after a lock"), (150, "the same, less"),
                         (300, "the loaded driveline is just known"), (1000, "as in driving"))
     ),
 )  # fmt: skip

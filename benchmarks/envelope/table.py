@@ -16,11 +16,16 @@ COLUMNS: Final = (
     "shifts", "first in gap", "true state", "after ramp, ms", "99 of 100", "J", "outside window",
     "not engaged", "refused", "reference known", "promised", "met",
 )  # fmt: skip
-ABOUT: Final = """\
-**first in gap**: share of first contacts in a gap, 95 % interval; **true state**: the same draws with the rig's true state.
-**after ramp**: from the end of the torque ramp to the shift's end, mean, and what 99 of 100 take at most. **J**: lost in flank impacts until the gear has locked.
-**outside window**: contacts outside the guard's slip window. **refused**: requests that the controller did not begin, no shifts.
-**promised**, **met**: of the shifts fired once at a known phase, the probability of the gap when the sleeve was fired, and how often it was met."""
+ABOUT: Final = (
+    "**first in gap**: share of first contacts in a gap, 95 % interval by gearbox; **true state**: "
+    "of the same draws with the rig's true state.",
+    "**after ramp**: from the end of the torque ramp to the shift's end, mean, and what 99 of 100 "
+    "take at most. **J**: lost in flank impacts until the gear has locked, mean.",
+    "**outside window**: contacts outside the guard's slip window. **refused**: requests that the "
+    "controller did not begin; they are no shifts.",
+    "**promised**, **met**: of the shifts fired once at a known phase, the probability of the gap "
+    "when the sleeve was fired, mean, and how often it was met.",
+)
 
 
 def figures(made: Made) -> dict[str, Any]:
@@ -88,7 +93,7 @@ def _verdict(found: Mapping[str, Any]) -> str:
 def markdown(values: Mapping[str, Any]) -> str:
     """The whole table as a page."""
     conditions, rows = values["conditions"], values["rows"]
-    lines = ["# The envelope", "", conditions["words"], "", ABOUT.replace("\n", "  \n"), ""]
+    lines = ["# The envelope", "", conditions["words"], "", *(f"- {line}" for line in ABOUT), ""]
     for group in GROUPS:
         chosen = [row for row in group.rows if row.name in rows]
         lines += _group(group, chosen, rows) if chosen else []

@@ -91,7 +91,7 @@ def _shifts(table: Path, strategy: str) -> dict[tuple[int, int], _Shift]:
         *read_columns(table, names), strict=True
     ):
         if by == strategy:
-            missed, left = contact != GAP, result not in ("engaged", REFUSED)
+            missed, left = contact != GAP, result != "engaged"
             figures = (float(missed), float(left), np.nan if time_ms is None else time_ms, impact_j)
             found[seed, shift] = _Shift(figures, result == REFUSED, tuple(drawn))
     return found

@@ -10,7 +10,13 @@ from campaigns import small_spec
 from meshpoint.controller.settings import ControllerSettings, Prices
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
-from meshpoint.dbc.messages import TC1, EngagementEvent, ReferenceEngagement
+from meshpoint.dbc.messages import (
+    TC1,
+    ControllerState,
+    ControllerStatus,
+    EngagementEvent,
+    ReferenceEngagement,
+)
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -23,6 +29,7 @@ from meshpoint.testbench.campaign.sequential import estimate, parse_goal
 from meshpoint.testbench.campaign.spec import Job
 
 TICK_US = 10_000
+IN_GEAR = ControllerState.IN_GEAR
 
 
 def records_of(*strategies: str) -> list[JudgedShift]:
@@ -75,6 +82,30 @@ def test_a_gear_is_asked_for_when_the_old_one_has_been_locked_for_the_pause(pres
     # The thesis's clutch is closed at once: there is nothing more to wait for.
     if preset is Preset.THESIS:
         assert max(rested_us) <= LOCKED_US + 4 * TICK_US
+
+
+@pytest.mark.parametrize("rest_ms", [0, 150, 700])
+def test_a_rest_is_counted_from_the_clutch_s_closing_in_the_old_gear(rest_ms: int) -> None:
+    """Whatever the driveline would need to settle."""
+    spec = small_spec(Preset.TRUCK)
+    drawn = draw(5, spec.sheet, spec.preset, spec.pairs, 2, {}, Profile.TYPICAL)
+    rest_us = 1000 * rest_ms
+    loop = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, log=[], rest_us=rest_us)
+    loop.shift()
+    loop.shift()
+    assert loop.log is not None
+    receiver, in_gear_us, rested_us = Receiver(*Node), 0, []
+    for time_us, frame in loop.log:
+        message = receiver.receive(frame).message
+        if isinstance(message, ControllerStatus):
+            is_in = (message.state, message.current_gear) == (IN_GEAR, drawn.plan[0].from_)
+            in_gear_us = (in_gear_us or time_us) if is_in else 0
+        elif isinstance(message, TC1) and in_gear_us:
+            rested_us.append(time_us - in_gear_us)
+            in_gear_us = 0
+    assert len(rested_us) >= 2
+    for rested in rested_us[:1] + rested_us[-1:]:
+        assert rest_us - TICK_US <= rested <= rest_us + 5 * TICK_US
 
 
 def test_a_blind_strategy_may_be_judged_once_a_run_and_until_says_the_same() -> None:

@@ -57,9 +57,7 @@ SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
 
 
-def short_pauses(
-    sheet: GearboxSheet, profile: Profile, rest_us: int | None = None
-) -> Pauses:
+def short_pauses(sheet: GearboxSheet, profile: Profile, rest_us: int | None = None) -> Pauses:
     """As everywhere on a driveline that twists, which the profile alone says here, whatever the
     preset; on a rigid one no longer than what each is for. `rest_us`: in place of either, from when
     the controller says that it is in the old gear with its clutch closed."""
