@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dbc long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -102,6 +102,11 @@ vcan-alone: $(VENV)/test.stamp
 # Every figure and table of the thesis, ours beside it, on one page: out/study/studies.html
 study: $(VENV)/test.stamp
 	$(BIN)/python -m benchmarks.studies all
+
+# Every kind of shift, sheet and sensor in one table, docs/envelope.md: an hour on two quiet processors.
+# ARGS: see python -m benchmarks.envelope -h
+envelope: kernels
+	$(BIN)/python -m benchmarks.envelope --resume --markdown docs/envelope.md $(ARGS)
 
 # Worlds in which anything may fail, for so many seconds; says how many hours were simulated.
 SWARM_WALL_S ?= 60

@@ -67,7 +67,7 @@ def parser() -> Parser:
     )
     found.add_argument(
         "--draws", type=given_numbers.whole(1, 100), default=1, metavar="N",
-        help="so many times the gearboxes of each row (default: 1)",
+        help="this many times the gearboxes of each row (default: 1)",
     )  # fmt: skip
     found.add_argument(
         "--seed", type=given_numbers.whole(0, 1_000_000), default=0, metavar="N",

@@ -213,8 +213,9 @@ def _end(work: Work, code: int, seconds: float) -> Made:
     folder = work.product.row(work.row)
     result = folder / RESULT_FILE
     found = Made(work.described, round(seconds, 1))
-    if code in (Exit.DONE, Exit.FAILED) and result.is_file():
-        found.values = json.loads(result.read_text(encoding="utf-8"))
+    values = json.loads(result.read_text(encoding="utf-8")) if result.is_file() else {}
+    if code in (Exit.DONE, Exit.FAILED) and values and "interrupted" not in values:
+        found.values = values
         text = json.dumps(vars(found))
         (folder / ROW_FILE).write_text(text, encoding="utf-8")
         return found

@@ -44,7 +44,7 @@ class Row:
         return replace(self, gearboxes=QUICK_GEARBOXES, judged=min(self.judged, QUICK_JUDGED))
 
     def drawn(self, times: int, seed: int) -> Row:
-        """The same with so many times the gearboxes, `seed` added to its own."""
+        """The same with this many times the gearboxes, `seed` added to its own."""
         return replace(self, gearboxes=times * self.gearboxes, seed=self.seed + seed)
 
 

@@ -16,6 +16,19 @@ COLUMNS: Final = (
     "shifts", "first in gap", "true state", "after ramp, ms", "99 of 100", "J", "outside window",
     "not engaged", "refused", "reference known", "promised", "met",
 )  # fmt: skip
+HEAD: Final = (
+    "# The envelope",
+    "",
+    "Every kind of shift, sheet and sensor in one table: each row is a [campaign](campaign.md) of "
+    "gearboxes drawn by seed, with one thing changed. A change of the controller is held against "
+    "all of it ([the rule](change.md)). `make envelope` writes this page "
+    "(`python -m benchmarks.envelope -h`); the rows are in `benchmarks/envelope/rows.py`.",
+    "",
+)
+AGAINST: Final = (
+    "the same draws by the product of that commit; *fell* in first contacts in a gap, shifts not "
+    "engaged, time or impact by more than chance, with the number of rows counted."
+)
 ABOUT: Final = (
     "**first in gap**: share of first contacts in a gap, 95 % interval by gearbox; **true state**: "
     "of the same draws with the rig's true state.",
@@ -93,7 +106,9 @@ def _verdict(found: Mapping[str, Any]) -> str:
 def markdown(values: Mapping[str, Any]) -> str:
     """The whole table as a page."""
     conditions, rows = values["conditions"], values["rows"]
-    lines = ["# The envelope", "", conditions["words"], "", *(f"- {line}" for line in ABOUT), ""]
+    lines = [*HEAD, conditions["words"], "", *(f"- {line}" for line in ABOUT), ""]
+    if "against" in values:
+        lines[-1:] = [f"- **against** {values['against']}: {AGAINST}", ""]
     for group in GROUPS:
         chosen = [row for row in group.rows if row.name in rows]
         lines += _group(group, chosen, rows) if chosen else []

@@ -75,9 +75,7 @@ class EquippedRun:
             row = bench.shift()
             key = {"sweep": "", "sweep_value": 0.0, "seed": self.seed, "shift": number}
             strategy = str(self.equipment)
-            records.append(
-                conditions.record(planned, row, bench.refusal, strategy=strategy, **key)
-            )
+            records.append(conditions.record(planned, row, bench.refusal, strategy=strategy, **key))
             aborts += 0 if row is None else row.aborts
         return EquippedShifts(records, aborts)
 
