@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -23,7 +24,7 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.campaign.git_reference import Commit, export, find_commit, start
 from meshpoint.testbench.campaign.store import CAMPAIGN_FILE, SHIFTS_FILE
-from meshpoint.testbench.errors import CommandError, RunError
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import folder_for
 
@@ -87,7 +88,8 @@ def of_commit(reference: str, out: Path) -> Product:
     folder = folder_for(out / commit.sha[:12])
     source = folder / "product"
     if not source.exists():
-        writing = folder_for(folder / "writing")
+        writing = folder / "writing"
+        shutil.rmtree(writing, ignore_errors=True)
         if not export(commit, writing):
             raise CommandError(f"{reference}: a commit that holds no product")
         writing.rename(source)
@@ -224,8 +226,3 @@ def _end(work: Work, code: int, seconds: float) -> Made:
     if code == Exit.INTERRUPTED:
         raise KeyboardInterrupt
     return found
-
-
-def failed(work: Work, found: Made) -> RunError:
-    """A row that came to no end."""
-    return RunError(f"{work.row.name}, {work.product.words}: {found.failed}")

@@ -27,7 +27,7 @@ from meshpoint.testbench.results.shift_figures import REFUSED
 CHANCE: Final = 0.05
 DOUBTFUL: Final = 0.01
 EXACT: Final = 14
-"""For up to this many gearboxes that differ, all signs are counted; for more, `SIGNS` of them by chance."""
+"""Up to this many gearboxes that differ, all signs are counted; of more, `SIGNS` by chance."""
 SIGNS: Final = 50_000
 SEED: Final = 0xE57
 FIGURES: Final = ("missed", "not_engaged", "duration_ms", "impact_j")

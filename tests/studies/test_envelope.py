@@ -134,6 +134,19 @@ def test_a_row_that_fell_against_a_commit_is_exit_code_1(
     assert (found["verdict"], found["in"]) == ("fell", ["missed"])
 
 
+def test_a_row_that_cannot_be_made_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As one with an option that the product of an old commit has not."""
+    row = replace(tiny_rows()["gap_33"], words=("--warp", "9"))
+    monkeypatch.setattr(command, "ROWS", {row.name: row})
+    assert envelope(tmp_path) == Exit.FAILED
+    said = capsys.readouterr().err
+    assert "gap_33, " in said
+    assert "its campaign ended with 2" in said
+    assert "--warp 9" in said
+
+
 def test_a_row_nobody_knows_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--only", "moon"])
