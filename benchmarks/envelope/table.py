@@ -29,6 +29,9 @@ AGAINST: Final = (
     "the same draws by the product of that commit; *fell* in first contacts in a gap, shifts not "
     "engaged, time or impact by more than chance, with the number of rows counted."
 )
+ON_SCREEN: Final = (
+    "shifts", "first in gap", "after\nramp\nms", "J", "outside/\nnot in/\nrefused", "ref.\nknown",
+)  # fmt: skip
 ABOUT: Final = (
     "**first in gap**: share of first contacts in a gap, 95 % interval by gearbox; **true state**: "
     "of the same draws with the rig's true state.",
@@ -68,7 +71,7 @@ def cells(found: Mapping[str, Any]) -> list[str]:
     gap, time_ms = found["gap"], found["after_ramp_ms"]
     share = _share(gap["rate"])
     if gap["rate"] is not None:
-        share += f" ({_share(gap['ci95'][0])} to {_share(gap['ci95'][1])})"
+        share += f" ({gap['ci95'][0]:.2f} to {gap['ci95'][1]:.2f})"
     return [
         str(found["shifts"]), share, _share(found["true_state"]), _number(time_ms["mean"]),
         _number(time_ms["p99"]), _number(found["impact_j"], 2),
@@ -86,15 +89,19 @@ def _number(value: float | None, digits: int = 0) -> str:
 
 
 def on_screen(rows: Mapping[str, Any], title: str) -> Table:
-    """The rows made, for a terminal."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    """The rows made, for a terminal: the page has more."""
+    table = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True
+    )
     table.add_column("row", no_wrap=True)
     judged = any("against" in found for found in rows.values())
-    for column in (*COLUMNS, *(["against"] if judged else [])):
-        table.add_column(column.replace(" ", "\n", 1), justify="right")
+    for column in (*ON_SCREEN, *(["against"] if judged else [])):
+        table.add_column(column, justify="right", no_wrap=True)
     for name, found in rows.items():
         verdict = [_verdict(found)] if judged else []
-        table.add_row(name, *cells(found), *verdict)
+        shifts, gap, _, time_ms, _, impact, *failures, known, _, _ = cells(found)
+        gap, failed = gap.replace(" to ", ".."), "/".join(failures)
+        table.add_row(name, shifts, gap, time_ms, impact, failed, known, *verdict)
     return table
 
 

@@ -35,8 +35,8 @@ FIGURES: Final = ("missed", "not_engaged", "duration_ms", "impact_j")
 FELL, DOUBT, SAME, ROSE = "fell", "doubtful", "same", "rose"
 WORDS: Final = {
     FELL: "fell",
-    DOUBT: "doubtful: more draws",
-    SAME: "not beyond chance",
+    DOUBT: "doubtful",
+    SAME: "same",
     ROSE: "rose",
 }
 

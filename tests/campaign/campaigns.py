@@ -50,11 +50,11 @@ def campaign(folder: Path, *arguments: str) -> Outcome:
 
 
 def judged_shift(**values: Any) -> JudgedShift:
-    """A judged shift of which nothing is known but these values."""
+    """A judged shift up by a main gear, of which nothing is known but these values."""
     nothing: dict[str, Any] = {
         name: None if field.is_optional else field.kind() for name, field in FIELDS.items()
     }
-    return JudgedShift(**nothing | values)
+    return JudgedShift(**nothing | {"from_gear": 8, "to_gear": 10} | values)
 
 
 def small_spec(preset: Preset = Preset.THESIS, **changes: Any) -> CampaignSpec:

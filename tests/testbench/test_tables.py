@@ -16,6 +16,7 @@ from rich.table import Table
 
 import benchmarks
 import meshpoint.testbench
+from benchmarks.envelope.table import on_screen
 from benchmarks.studies import command as study_command
 from benchmarks.studies.record import Finding, Statement, ThesisVerdict
 from benchmarks.studies.registry import STUDY_NAMES, load
@@ -123,6 +124,8 @@ def campaign_values() -> dict[str, Any]:
         "blocked": 2_000_000,
         "outside_window": 2_000_000,
         "given_up": 2_000_000,
+        "refused": 2_000_000,
+        "promise": {"shifts": 2_000_000, "said": 0.8912, "kept": 0.9234},
         "phase_error_sd_deg": 12.39,
         "reference_known": 1.0,
     }
@@ -135,6 +138,24 @@ def campaign_values() -> dict[str, Any]:
         "ratios": {f"{a}/{b}": dict.fromkeys(keys, ratio) for a, b in pairs},
         "verdict": "",
     }
+
+
+def envelope_values() -> dict[str, Any]:
+    """Two rows as wide as they come, one of them against a commit."""
+    row = {
+        "shifts": 10_000,
+        "gap": {"rate": 0.9912, "ci95": [0.9861, 0.9945]},
+        "true_state": 0.9912,
+        "after_ramp_ms": {"mean": 12345.6, "p99": 12345.6},
+        "impact_j": 12.345,
+        "outside_window": 123,
+        "not_engaged": 123,
+        "refused": 123,
+        "reference_known": 0.9912,
+        "promised": 0.9912,
+        "met": 0.9912,
+    }
+    return {"splitter_down": row, "clean": row | {"against": {"verdict": "doubtful"}}}
 
 
 @pytest.fixture(scope="module")
@@ -169,6 +190,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "report.comparison.comparison_table": lambda: comparison_table(
         compare({name: [ROW] * 1000 for name in STRATEGIES}), GEARBOX
     ),
+    "envelope.table.on_screen": lambda: on_screen(envelope_values(), "title"),
     "campaign.table._strategies": lambda: campaign_table._strategies(
         campaign_values(), list(STRATEGIES)[:MOST_COLUMNS], GEARBOX
     ),
