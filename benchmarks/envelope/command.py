@@ -221,6 +221,7 @@ def _conditions(namespace: argparse.Namespace, rows: list[Row], product: Product
     today = dt.datetime.now(dt.UTC).date().isoformat()
     machine = f"{os.cpu_count()} processors, {platform.machine()}"
     draws = "a part of the draws (--quick)" if namespace.quick else "all draws"
+    some = f"{len(rows)} of {len(ROWS)} rows, " if len(rows) < len(ROWS) else ""
     return {
         "product": product.words,
         "commit": product.sha,
@@ -230,7 +231,7 @@ def _conditions(namespace: argparse.Namespace, rows: list[Row], product: Product
         "draws": namespace.draws,
         "seeds": seeds,
         "words": f"Simulated: {product.words}, {today}, `{OWN}`, sheet `truck12` unless said, "
-        f"{draws}, seeds {' and '.join(map(str, seeds))}; {machine}.",
+        f"{some}{draws}, seeds {' and '.join(map(str, seeds))}; {machine}.",
     }
 
 
