@@ -41,7 +41,8 @@ class Row:
 
     def quick(self) -> Row:
         """The same in a quarter of the time."""
-        return replace(self, gearboxes=QUICK_GEARBOXES, judged=min(self.judged, QUICK_JUDGED))
+        gearboxes, judged = min(self.gearboxes, QUICK_GEARBOXES), min(self.judged, QUICK_JUDGED)
+        return replace(self, gearboxes=gearboxes, judged=judged)
 
     def drawn(self, times: int, seed: int) -> Row:
         """The same with this many times the gearboxes, `seed` added to its own."""

@@ -151,6 +151,15 @@ def test_a_refused_request_is_no_shift() -> None:
     assert rows_of(contact(0.3), outcome(result=ShiftResult.REFUSED)) == []
 
 
+def test_of_a_refused_request_the_reason_is_kept() -> None:
+    collector = RowCollector(SHEET)
+    refused = outcome(result=ShiftResult.REFUSED, fault=FaultCode.INPUT_OVERSPEED)
+    for message in (refused, contact(0.3), outcome()):
+        collector.take(message)
+    assert collector.refusals == ["input_overspeed"]
+    assert [row.result for row in collector.rows] == ["engaged"]
+
+
 @settings(deadline=None)
 @given(phase_deg=st.floats(-3.75, 3.75), target_deg=st.floats(-0.7, 0.7))
 def test_the_error_is_from_the_target_and_within_half_a_pitch(
