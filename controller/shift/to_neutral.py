@@ -23,6 +23,9 @@ PRESSED_PA: Final = 0.8e5
 BRAKES_US: Final = 20 * MS_IN_US
 """So soon after the end of a push a pulse against it brakes."""
 _OTHER: Final = {SLEEVE_VALVE[gear]: OPPOSITE[gear] for gear in MAIN_GEARS}
+EARLY_US: Final = MS_IN_US // 2
+"""A step may come by so much sooner than a tick of the sensor clock after the one before: clocks
+differ, and that one may have been late."""
 RESTS_US: Final = 60 * MS_IN_US
 """A sleeve whose valves are off comes to rest within this time."""
 
@@ -79,11 +82,12 @@ def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
 
 
 def ends_in_time(context: ShiftContext, snapshot: StepSnapshot, pulse: Pulse) -> Pulse:
-    """The same pulse, a little later where it is too short: its end is sent by the first step
-    after its beginning, and none is shorter than what that takes."""
+    """The same pulse, a little later where it is too short: its end is sent by the first step that
+    surely comes after its beginning, and none is shorter than what that takes. A step that comes a
+    little before would say the beginning once more, and the end would come a whole step late."""
     lead_us = snapshot.earliest_us - snapshot.now_us
-    long_us = max(pulse.off_us - pulse.on_us, lead_us)
-    sent_us = (snapshot.now_us - pulse.on_us) % context.tick_us
+    long_us = max(pulse.off_us - pulse.on_us, EARLY_US + lead_us)
+    sent_us = EARLY_US + (snapshot.now_us - EARLY_US - pulse.on_us) % context.tick_us
     on_us = pulse.on_us + max(0, sent_us + lead_us - long_us)
     return pulse._replace(on_us=on_us, off_us=on_us + long_us)
 

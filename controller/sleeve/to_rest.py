@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.sleeve.cylinder import TO_REST
+from meshpoint.controller.sleeve.cylinder import PARAMETERS, TO_REST
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stopping import RESTS_US
@@ -14,12 +14,28 @@ from meshpoint.units import SECOND_US
 LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
 NEAR_NEUTRAL_M: Final = 1e-3
+LATE_SDS: Final = 3.5
+"""A valve shuts by no more of its standard deviations later than expected."""
 
 
 def rests_at_m(sleeve: DrivenSleeve, at_us: int, pulse: tuple[Switch, ...] = ()) -> float:
     """Where it comes to rest by its switches until then and by this pulse."""
     switches = [one for one in sleeve.switches if one.time_us <= at_us]
     return sleeve.ahead(ending=TO_REST, until_us=at_us + RESTS_US, switches=[*switches, *pulse]).m
+
+
+def may_come_to(sleeve: DrivenSleeve, direction: int, level_m: float) -> bool:
+    """Whether a sleeve on its way, no valve of it on any more, may come so far in this direction:
+    where the valve that pushed it there shuts as late as it may by what is seen."""
+    valve = valve_towards(direction)
+    off = [one for one in sleeve.switches if one.valve == valve and not one.on]
+    if not off:
+        return False
+    unknowns = sleeve.unknowns(sleeve.switches)
+    unknowns[PARAMETERS + sleeve.switches.index(off[-1])] += LATE_SDS * sleeve.sd_of(off[-1])
+    until_us = off[-1].time_us + RESTS_US
+    way = sleeve.to_level(direction, direction * level_m, until_us, unknowns)
+    return way.crossed_us is not None
 
 
 def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch]:
