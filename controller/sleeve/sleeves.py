@@ -305,14 +305,13 @@ class Sleeves:
 
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
         """The pulse that brings a sleeve to rest in neutral: towards neutral where it stands before
-        the teeth or between unloaded ones, against its motion where it would fly past, or may. None
-        where it comes to rest there by itself, moves otherwise than the law says, or falls short
-        and does not stand yet: two pulses in a row could throw it to the other gear."""
+        the teeth or between unloaded ones, against its motion where it would fly past, or, pulled
+        out of a gear, may. None where it comes to rest there by itself, moves otherwise than the
+        law says, or falls short and does not stand yet: two pulses could throw it through."""
         tracked = self._sleeves[sleeve]
         if not tracked.stands:
             return self._brake(sleeve, tracked, at_us)
-        # It stays, whatever pull of its detent the law takes it for.
-        stands_m = tracked.place_of(tracked.rest_m)
+        stands_m = tracked.place_of(tracked.rest_m)  # whatever pull of its detent the law sees
         if abs(stands_m) < NEAR_NEUTRAL_M:
             return None
         direction = 1 if stands_m < 0.0 else -1
@@ -331,7 +330,8 @@ class Sleeves:
         if goes * rests_m >= NEAR_NEUTRAL_M:
             # A longer pulse does not brake any more: it would set the sleeve going the other way.
             return self._pulse(sleeve, at_us, -goes, LONGEST_PULSE_US, sure_sds=0.0)
-        if may_come_to(tracked, goes, self._law.face_m - CLEAR_M):
+        is_pulled = abs(tracked.start.state[0]) > self._law.face_m
+        if is_pulled and may_come_to(tracked, goes, self._law.face_m - CLEAR_M):
             # By the time that it is seen to be thrown through, a brake comes too late.
             return Pulse(_VALVES[sleeve, valve], at_us, at_us + SHORTEST_PULSE_US, rests_m)
         return None
