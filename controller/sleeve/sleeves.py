@@ -31,7 +31,7 @@ from meshpoint.controller.sleeve.stopping import (
 from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
 from meshpoint.controller.sleeve.to_rest import (
     NEAR_NEUTRAL_M,
-    may_come_to,
+    may_be_thrown,
     pulse_of,
     pulse_to_neutral_us,
     rests_at_m,
@@ -310,7 +310,7 @@ class Sleeves:
         law says, or falls short and does not stand yet: two pulses could throw it through."""
         tracked = self._sleeves[sleeve]
         if not tracked.stands:
-            return self._brake(sleeve, tracked, at_us)
+            return self.brake(sleeve, at_us)
         stands_m = tracked.place_of(tracked.rest_m)  # whatever pull of its detent the law sees
         if abs(stands_m) < NEAR_NEUTRAL_M:
             return None
@@ -318,8 +318,10 @@ class Sleeves:
         most_us = self._withstands_us(sleeve, direction, stands_m)
         return self._pulse(sleeve, at_us, direction, most_us)
 
-    def _brake(self, sleeve: Sleeve, tracked: TrackedSleeve, at_us: int) -> Pulse | None:
-        place, rests_m = self.place(sleeve, at_us), rests_at_m(tracked, at_us)
+    def brake(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
+        """The same of one that moves. None for one that stands."""
+        tracked, place = self._sleeves[sleeve], self.place(sleeve, at_us)
+        rests_m = rests_at_m(tracked, at_us)
         goes = 1 if place.speed_m_s > 0.0 else -1
         valve = valve_towards(-goes)
         # One that was braked before may go back to where it came from.
@@ -327,11 +329,9 @@ class Sleeves:
         is_known = place.is_moving and tracked.is_free and not tracked.is_off_its_law
         if was_braked or not is_known or goes * rests_m < -NEAR_NEUTRAL_M:
             return None
-        if goes * rests_m >= NEAR_NEUTRAL_M:
-            # A longer pulse does not brake any more: it would set the sleeve going the other way.
+        if goes * rests_m >= NEAR_NEUTRAL_M:  # a longer pulse would set it going the other way
             return self._pulse(sleeve, at_us, -goes, LONGEST_PULSE_US, sure_sds=0.0)
-        is_pulled = abs(tracked.start.state[0]) > self._law.face_m
-        if is_pulled and may_come_to(tracked, goes, self._law.face_m - CLEAR_M):
+        if may_be_thrown(tracked, goes, at_us):
             # By the time that it is seen to be thrown through, a brake comes too late.
             return Pulse(_VALVES[sleeve, valve], at_us, at_us + SHORTEST_PULSE_US, rests_m)
         return None
