@@ -13,7 +13,6 @@ from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.sleeve.answers import Pulse
-from meshpoint.controller.sleeve.to_rest import BRAKES_US
 from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, Sleeve
 
@@ -21,6 +20,8 @@ CLEAR_M: Final = 1.0e-3
 """A sleeve this far before a gear's teeth has none between them."""
 PRESSED_PA: Final = 0.8e5
 """With more than this, gauge, the brake presses: the guard lets no gear be pulled out then."""
+BRAKES_US: Final = 20 * MS_IN_US
+"""So soon after the end of a push a pulse against it brakes."""
 _OTHER: Final = {SLEEVE_VALVE[gear]: OPPOSITE[gear] for gear in MAIN_GEARS}
 EARLY_US: Final = MS_IN_US // 2
 """A step may come by so much sooner than a tick of the sensor clock after the one before: clocks

@@ -331,7 +331,7 @@ class Sleeves:
             return None
         if goes * rests_m >= NEAR_NEUTRAL_M:  # a longer pulse would set it going the other way
             return self._pulse(sleeve, at_us, -goes, LONGEST_PULSE_US, sure_sds=0.0)
-        if may_be_thrown(tracked, goes, at_us):
+        if may_be_thrown(tracked, goes):
             # By the time that it is seen to be thrown through, a brake comes too late.
             return Pulse(_VALVES[sleeve, valve], at_us, at_us + SHORTEST_PULSE_US, rests_m)
         return None

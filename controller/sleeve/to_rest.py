@@ -14,9 +14,6 @@ from meshpoint.units import SECOND_US
 LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
 NEAR_NEUTRAL_M: Final = 1e-3
-BRAKES_US: Final = 20_000
-"""So soon after the end of a pulse one against it brakes: the guard takes a later one for a
-firing."""
 NEAR_TEETH_M: Final = 1e-3
 LATE_SDS: Final = 4.2
 """A valve shuts by no more of its standard deviations later than expected."""
@@ -28,14 +25,13 @@ def rests_at_m(sleeve: DrivenSleeve, at_us: int, pulse: tuple[Switch, ...] = ())
     return sleeve.ahead(ending=TO_REST, until_us=at_us + RESTS_US, switches=[*switches, *pulse]).m
 
 
-def may_be_thrown(sleeve: DrivenSleeve, direction: int, at_us: int) -> bool:
+def may_be_thrown(sleeve: DrivenSleeve, direction: int) -> bool:
     """Whether a sleeve on its way out of a gear's teeth may come near the opposite ones, where the
-    valve that pulled it shuts as late as it may by what is seen. False where a pulse against it
-    would not count as a brake any more."""
+    valve that pulled it shuts as late as it may by what is seen."""
     valve = valve_towards(direction)
     off = [one for one in sleeve.switches if one.valve == valve and not one.on]
     is_pulled = abs(sleeve.start.state[0]) > sleeve.law.face_m
-    if not off or not is_pulled or at_us > off[-1].time_us + BRAKES_US:
+    if not off or not is_pulled:
         return False
     unknowns = sleeve.unknowns(sleeve.switches)
     unknowns[PARAMETERS + sleeve.switches.index(off[-1])] += LATE_SDS * sleeve.sd_of(off[-1])
