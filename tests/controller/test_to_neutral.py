@@ -10,14 +10,18 @@ from typing import Any, cast
 
 import pytest
 from drawn_sleeve import CYLINDERS, FACE, DrawnSleeve
+from shift_box import Box
 from sleeve_bench import GEAR, SLEEVE, TICK_US, VALVES, SleeveBench
 
+from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings import ValveTiming
 from meshpoint.controller.shift.to_neutral import ends_in_time
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.answers import Pulse
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.valve_name import ValveName
-from meshpoint.dbc.messages import ValveAction
+from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.dbc.messages import ShiftResult, ValveAction
 from meshpoint.dbc.sensor_time import wrap
 from meshpoint.gearbox import load_sheet
 
@@ -110,3 +114,25 @@ def test_a_pull_that_may_throw_its_sleeve_through_is_braked_before_that_shows(na
 @pytest.mark.parametrize("name", CYLINDERS)
 def test_a_pull_as_it_was_learned_is_not_braked(name: str) -> None:
     assert pulled(name, 0.0, braked=True) == (False, [])
+
+
+def test_no_shift_goes_on_while_a_sleeve_that_comes_through_neutral_is_to_be_braked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Red before: measured in neutral and expected to rest there, it was left to itself, and was
+    at the opposite teeth before it was seen to have left neutral."""
+    box = Box(7, 150.0, phase_rad=0.0).ready()
+    box.ask(9)
+    box.until(State.DISENGAGING)
+    passed = []
+    with monkeypatch.context() as patched:
+        brake = lambda _self, _sleeve, at_us: Pulse(  # noqa: E731
+            ValveName.MAIN_FIRST, at_us, at_us + 1_000, 0.0
+        )
+        patched.setattr(Sleeves, "brake", brake)
+        while len(passed) < 3:
+            assert box.step() is State.DISENGAGING
+            if abs(box.position_m[SLEEVE]) < VIEW_NEUTRAL_M:
+                passed.append(box.position_m[SLEEVE])
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
