@@ -27,7 +27,6 @@ from meshpoint.dbc.messages import (
     BenchCommand,
     ControllerState,
     FaultCode,
-    ReferenceEngagement,
     RigFault,
     ShiftOutcome,
     ShiftResult,
@@ -49,7 +48,6 @@ SHIFT_US: Final = 6_000_000
 AFTERMATH_US: Final = 400_000
 """A fault that has ended still shows for so long: a sensor's held value, a position on its way."""
 OUTCOME_ID: Final = CODECS[ShiftOutcome.__name__].spec.can_id
-ENGAGEMENT_ID: Final = CODECS[ReferenceEngagement.__name__].spec.can_id
 COMMAND_ID: Final = CODECS["ValveCommand"].spec.can_id
 CONTROLLER: Final = 0
 NOTHING: Final[frozenset[str]] = frozenset()
@@ -210,9 +208,6 @@ class Episode:
     def _on_frame(self, time_us: int, frame: Frame) -> None:
         if frame.can_id == COMMAND_ID:
             self._invariants.heard(time_us)
-        elif frame.can_id == ENGAGEMENT_ID:
-            event: Any = CODECS[ReferenceEngagement.__name__].decode(frame.data)
-            self._invariants.contact(event, time_us, self.active)
         elif frame.can_id == OUTCOME_ID:
             outcome: Any = CODECS[ShiftOutcome.__name__].decode(frame.data)
             self._shifts += 1

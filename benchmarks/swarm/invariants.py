@@ -10,16 +10,12 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from benchmarks.swarm.deeds import DEEDS
 from benchmarks.swarm.nodes import WatchedController, WatchedRig
-from meshpoint.controller.guard.limits import SLIP_MARGIN_RAD_S
 from meshpoint.controller.guard.own_clock import signed_us
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import IN_SHIFT
-from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.shared.engagement import Violation
-from meshpoint.units import RPM
 
 EXPIRY_US: Final = 115_000
 """The valve side's 100 ms, its read and the bus."""
@@ -43,7 +39,8 @@ SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow", "valve_slow_on", "valv
 REACT_US: Final = 30_000
 """From a sleeve that the bench moves until a brake that was on before is off: what the sensors show
 late, a tick, and the way of the command."""
-CONTACTS: Final = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
+FORESEEN_BY_NOBODY: Final = (Violation.BRAKE_IN_GEAR, Violation.SLIP_AT_CONTACT)
+"""Where a hand pushes a gear in."""
 CLOCKS: Final = frozenset({"clock_step", "clock_drift", "node_restart", "node_stalled"})
 
 
@@ -85,17 +82,6 @@ class Invariants:
         """A valve command of the controller's has reached the gearbox."""
         self._sent_us = now_us
 
-    def contact(self, event: ReferenceEngagement, now_us: int, active: frozenset[str]) -> None:
-        """A sleeve may have met its gear. Its slip is in the guard's window, whatever the sequence
-        does; a fault of anything else may hold up the command that takes the sleeve back."""
-        by_bench = now_us - self._bench_us <= REACT_US
-        if event.event not in CONTACTS or by_bench or active - DEEDS.keys():
-            return
-        guard, slip = self.settings.guard, event.slip_rad_s
-        low, high = guard.slip_low_rad_s, guard.slip_high_rad_s
-        if not low - SLIP_MARGIN_RAD_S <= slip <= high + SLIP_MARGIN_RAD_S:
-            self.note("slip_at_contact", now_us, f"{event.gear.name} met at {slip / RPM:.0f} rpm")
-
     def rig(self, rig: WatchedRig, now_us: int, active: frozenset[str]) -> None:
         """After a step of the gearbox."""
         truth: Any = rig.truth
@@ -105,8 +91,8 @@ class Invariants:
         by_bench = now_us - self._bench_us <= REACT_US
         for kind, count in truth.violations.items():
             before, self._counted[kind] = self._counted.get(kind, 0), count
-            if kind is Violation.BRAKE_IN_GEAR and by_bench:
-                continue  # no controller can foresee that a hand pushes a gear in
+            if kind in FORESEEN_BY_NOBODY and by_bench:
+                continue
             if count > before and not (active & _excuses(kind)):
                 self.note(kind.name.lower(), now_us, f"{count} times")
         speeds = truth.speeds_rad_s

@@ -63,7 +63,10 @@ def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the main sleeves are seen clear of all teeth, stay so by their commands, and do not
-    move towards them. Neutral is not waited for: one that falls short takes far longer to it."""
+    move towards them, nor are being braked, which may bring one back. Neutral is not waited for:
+    one that falls short takes far longer to it."""
+    if context.running.is_braked and not context.main_valves_rest(snapshot.now_us):
+        return False
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
     for sleeve in MAIN_SLEEVES:
         track = snapshot.view.tracks[sleeve]

@@ -23,6 +23,9 @@ PRESSED_PA: Final = 0.8e5
 BRAKES_US: Final = 20 * MS_IN_US
 """So soon after the end of a push a pulse against it brakes."""
 _OTHER: Final = {SLEEVE_VALVE[gear]: OPPOSITE[gear] for gear in MAIN_GEARS}
+EARLY_US: Final = MS_IN_US // 2
+"""A step may come by so much sooner than a tick of the sensor clock after the one before: clocks
+differ, and that one may have been late."""
 RESTS_US: Final = 60 * MS_IN_US
 """A sleeve whose valves are off comes to rest within this time."""
 
@@ -33,11 +36,16 @@ def has_left_neutral(snapshot: StepSnapshot) -> bool:
 
 
 def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether both main sleeves come to rest in neutral as commanded, none driven any more."""
+    """Whether both main sleeves come to rest in neutral as commanded, none driven any more, and
+    none that is to be braked."""
     if not context.main_valves_rest(snapshot.now_us):
         return False
-    at_us = snapshot.now_us + RESTS_US
-    return all(abs(context.sleeves.place(one, at_us).m) < VIEW_NEUTRAL_M for one in MAIN_SLEEVES)
+    sleeves, at_us = context.sleeves, snapshot.now_us + RESTS_US
+    return all(
+        abs(sleeves.place(one, at_us).m) < VIEW_NEUTRAL_M
+        and sleeves.brake(one, snapshot.at_once_us) is None
+        for one in MAIN_SLEEVES
+    )
 
 
 def stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
@@ -79,11 +87,12 @@ def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
 
 
 def ends_in_time(context: ShiftContext, snapshot: StepSnapshot, pulse: Pulse) -> Pulse:
-    """The same pulse, a little later where it is too short: its end is sent by the first step
-    after its beginning, and none is shorter than what that takes."""
+    """The same pulse, a little later where it is too short: its end is sent by the first step that
+    surely comes after its beginning, and none is shorter than what that takes. A step that comes a
+    little before would say the beginning once more, and the end would come a whole step late."""
     lead_us = snapshot.earliest_us - snapshot.now_us
-    long_us = max(pulse.off_us - pulse.on_us, lead_us)
-    sent_us = (snapshot.now_us - pulse.on_us) % context.tick_us
+    long_us = max(pulse.off_us - pulse.on_us, EARLY_US + lead_us)
+    sent_us = EARLY_US + (snapshot.now_us - EARLY_US - pulse.on_us) % context.tick_us
     on_us = pulse.on_us + max(0, sent_us + lead_us - long_us)
     return pulse._replace(on_us=on_us, off_us=on_us + long_us)
 

@@ -21,6 +21,7 @@ from meshpoint.controller.sleeve.law_record import known_from, law_record
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stopping import (
     LONGEST_PULSE_US,
+    SHORTEST_PULSE_US,
     aborted,
     halted,
     latest_abort_us,
@@ -30,6 +31,7 @@ from meshpoint.controller.sleeve.stopping import (
 from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
 from meshpoint.controller.sleeve.to_rest import (
     NEAR_NEUTRAL_M,
+    may_be_thrown,
     pulse_of,
     pulse_to_neutral_us,
     rests_at_m,
@@ -303,25 +305,36 @@ class Sleeves:
 
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
         """The pulse that brings a sleeve to rest in neutral: towards neutral where it stands before
-        the teeth or between unloaded ones, against its motion where it would fly past. None where
-        it comes to rest there by itself, moves otherwise than the law says, or falls short and does
-        not stand yet: two pulses in a row could throw it to the other gear."""
+        the teeth or between unloaded ones, against its motion where it would fly past, or, pulled
+        out of a gear, may. None where it comes to rest there by itself, moves otherwise than the
+        law says, or falls short and does not stand yet: two pulses could throw it through."""
         tracked = self._sleeves[sleeve]
-        # One that stands stays, whatever pull of its detent the law takes it for.
-        stands, stands_m = tracked.stands, tracked.place_of(tracked.rest_m)
-        rests_m = stands_m if stands else rests_at_m(tracked, at_us)
-        direction = 1 if rests_m < 0.0 else -1
-        place = self.place(sleeve, at_us)
-        if abs(rests_m) < NEAR_NEUTRAL_M:
+        if not tracked.stands:
+            return self.brake(sleeve, at_us)
+        stands_m = tracked.place_of(tracked.rest_m)  # whatever pull of its detent the law sees
+        if abs(stands_m) < NEAR_NEUTRAL_M:
             return None
-        if stands:
-            most_us = self._withstands_us(sleeve, direction, stands_m)
-            return self._pulse(sleeve, at_us, direction, most_us)
-        flies_past = place.is_moving and direction * place.speed_m_s < 0.0
-        if not flies_past or tracked.is_off_its_law:
+        direction = 1 if stands_m < 0.0 else -1
+        most_us = self._withstands_us(sleeve, direction, stands_m)
+        return self._pulse(sleeve, at_us, direction, most_us)
+
+    def brake(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
+        """The same of one that moves. None for one that stands."""
+        tracked, place = self._sleeves[sleeve], self.place(sleeve, at_us)
+        rests_m = rests_at_m(tracked, at_us)
+        goes = 1 if place.speed_m_s > 0.0 else -1
+        valve = valve_towards(-goes)
+        # One that was braked before may go back to where it came from.
+        was_braked = any(one.valve == valve for one in tracked.switches)
+        is_known = place.is_moving and tracked.is_free and not tracked.is_off_its_law
+        if was_braked or not is_known or goes * rests_m < -NEAR_NEUTRAL_M:
             return None
-        # A longer pulse does not brake any more: it would set the sleeve going the other way.
-        return self._pulse(sleeve, at_us, direction, LONGEST_PULSE_US, sure_sds=0.0)
+        if goes * rests_m >= NEAR_NEUTRAL_M:  # a longer pulse would set it going the other way
+            return self._pulse(sleeve, at_us, -goes, LONGEST_PULSE_US, sure_sds=0.0)
+        if may_be_thrown(tracked, goes):
+            # By the time that it is seen to be thrown through, a brake comes too late.
+            return Pulse(_VALVES[sleeve, valve], at_us, at_us + SHORTEST_PULSE_US, rests_m)
+        return None
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.sleeve.cylinder import TO_REST
+from meshpoint.controller.sleeve.cylinder import PARAMETERS, TO_REST
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch
 from meshpoint.controller.sleeve.stopping import RESTS_US
@@ -14,12 +14,30 @@ from meshpoint.units import SECOND_US
 LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
 NEAR_NEUTRAL_M: Final = 1e-3
+NEAR_TEETH_M: Final = 1e-3
+LATE_SDS: Final = 4.2
+"""A valve shuts by no more of its standard deviations later than expected."""
 
 
 def rests_at_m(sleeve: DrivenSleeve, at_us: int, pulse: tuple[Switch, ...] = ()) -> float:
     """Where it comes to rest by its switches until then and by this pulse."""
     switches = [one for one in sleeve.switches if one.time_us <= at_us]
     return sleeve.ahead(ending=TO_REST, until_us=at_us + RESTS_US, switches=[*switches, *pulse]).m
+
+
+def may_be_thrown(sleeve: DrivenSleeve, direction: int) -> bool:
+    """Whether a sleeve on its way out of a gear's teeth may come near the opposite ones, where the
+    valve that pulled it shuts as late as it may by what is seen."""
+    valve = valve_towards(direction)
+    off = [one for one in sleeve.switches if one.valve == valve and not one.on]
+    is_pulled = abs(sleeve.start.state[0]) > sleeve.law.face_m
+    if not off or not is_pulled:
+        return False
+    unknowns = sleeve.unknowns(sleeve.switches)
+    unknowns[PARAMETERS + sleeve.switches.index(off[-1])] += LATE_SDS * sleeve.sd_of(off[-1])
+    level_m = direction * (sleeve.law.face_m - NEAR_TEETH_M)
+    way = sleeve.to_level(direction, level_m, off[-1].time_us + RESTS_US, unknowns)
+    return way.crossed_us is not None
 
 
 def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch]:

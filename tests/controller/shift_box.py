@@ -26,7 +26,7 @@ from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
-from meshpoint.controller.sleeve.law import SleeveLaw
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw
 from meshpoint.controller.sleeve.law_record import law_record
 from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import (
@@ -53,6 +53,8 @@ MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 STROKE_M, CONTACT_M = SHEET.sleeve.stroke_m, SHEET.sleeve.to_contact_m
 PUSH_M_S2: Final = 2.0 * CONTACT_M / (SHEET.sleeve.delay_s - 1e-3 * DELAY_MS) ** 2
 """Of splitter and range."""
+LEARNED_SHARE: Final = 0.3
+"""Of what the sheet leaves open of a sleeve, this is left where its law is known."""
 SPOOL_US: Final = 100
 """What is commanded is looked at so often."""
 
@@ -114,7 +116,8 @@ class Box:
         self.view = GearboxView(SHEET)
         self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.brake, self.references)
         if self.phase_rad is not None:
-            law = law_record(SleeveLaw(SHEET).prior(SHEET), 10)
+            prior = SleeveLaw(SHEET).prior(SHEET)
+            law = law_record(Prior(prior.mean, LEARNED_SHARE**2 * prior.covariance), 10)
             known = {one.name.lower(): law for one in MAIN_SLEEVES}
             self.sequence.sleeves.restore(SleeveRecords(), SleeveLawRecords(**known))
         self.records: list[ShiftRecord] = []

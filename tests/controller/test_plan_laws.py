@@ -26,6 +26,7 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.planning.strategies.table import make_strategy
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.units import RPM
 
 FIRST_US = EARLIEST_US + DELAY_US
 """No sleeve can be at its gear sooner."""
@@ -155,6 +156,32 @@ def test_a_release_comes_before_its_contact_and_both_in_their_time(
     plan = release(name, braking(slip_rpm, at_zero))
     assert EARLIEST_US <= plan.release_us <= EARLIEST_US + LATEST_RELEASE_US
     assert plan.contact_us > plan.release_us or plan.contact_us >= FIRST_US
+
+
+@pytest.mark.parametrize(
+    ("slip_rpm", "delay_us"), [(90.0, 45_000), (260.0, 45_000), (300.0, 20_000), (340.0, 20_000)]
+)
+def test_where_time_alone_costs_a_gear_is_met_as_soon_as_it_may_be(
+    slip_rpm: float, delay_us: int
+) -> None:
+    """By a sleeve that is fired at the earliest, or 10 ms after the brake's release where that is
+    later: every slip is allowed here, and no tooth has a price."""
+    known = ControllerSettings().with_strategy("target_phase")
+    free = dict.fromkeys(("miss_s", "block_s", "energy_s_per_j", "aim_s"), 0.0)
+    window = dataclasses.replace(
+        known.window,
+        contact_high_rad_s=200.0 * RPM,
+        contact_low_rad_s=-50.0 * RPM,
+        aim_slip_rad_s=150.0 * RPM,
+        aim_time_constants=0.0,
+    )
+    prices = dataclasses.replace(known.prices, **free)
+    strategy = make_strategy(SHEET, dataclasses.replace(known, prices=prices, window=window))
+    predictor = dataclasses.replace(braking(slip_rpm, 0.0), delay_us=delay_us)
+    plan = strategy.release(predictor, NOW_US, EARLIEST_US)
+    soonest_us = max(EARLIEST_US + delay_us, plan.release_us + 10_000)
+    assert plan.contact_us == soonest_us
+    assert (plan.release_us + 10_000 > EARLIEST_US + delay_us) is (slip_rpm == 340.0)
 
 
 @settings(max_examples=20)

@@ -235,6 +235,21 @@ def test_a_run_in_which_something_else_moved_the_shaft_is_as_if_it_were_not_ther
     assert found.covariance == pytest.approx(alone.covariance, rel=0.05, abs=1e-12)
 
 
+@pytest.mark.parametrize("pulled", [(0, 1), (0, 2), (2, 4)])
+def test_two_of_six_runs_in_which_a_torque_pulled_do_not_hide_each_other(
+    trajectories: list[Trajectory], pulled: tuple[int, int]
+) -> None:
+    """A steady torque on the shaft, of 1 rad by the run's end. Before anything is left out, runs
+    that do not fit weigh less: else the two draw the fit to them, and all six seem to fit."""
+    among = []
+    for k, each in enumerate(trajectories):
+        share = np.linspace(0.0, 1.0, each.angle.size)
+        among.append(replace(each, angle=each.angle + (k in pulled) * share**2))
+    found, whole = (fit(each, SHEET, False, 900.0 * RPM) for each in (among, trajectories))
+    assert found.used.tolist() == [k not in pulled for k in range(6)]
+    assert np.abs((found.parameters - whole.parameters) / whole.prior.sd).max() < 0.1
+
+
 def test_what_is_found_without_a_run_is_what_the_others_alone_tell(
     trajectories: list[Trajectory],
 ) -> None:
