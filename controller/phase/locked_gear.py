@@ -57,10 +57,10 @@ class LockedGear:
     def released(self, events: list[str]) -> None:
         """No gear is in mesh any more."""
         gear = self._references.released()
-        if gear is not None and not self._settle(gear, events) and not self._references.known(gear):
-            events.append(
-                f"phase reference of {gear.name.lower()} not learned: its tooth was not seen in mesh"
-            )
+        if gear is None or self._settle(gear, events) or self._references.known(gear):
+            return
+        name = gear.name.lower()
+        events.append(f"phase reference of {name} not learned: its tooth was not seen in mesh")
 
     def _settle(self, gear: MainGear, events: list[str]) -> bool:
         """Whether the gear's reference has just been learned."""

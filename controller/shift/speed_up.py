@@ -82,19 +82,22 @@ def _comes_to(
     context: ShiftContext, slip_rad_s: float, wanted_rad_s: float, snapshot: StepSnapshot
 ) -> bool:
     """Whether the engine brings the gear from its slip to the one wanted by the time that the
-    plates part, if they are told to now. It changes the slower the nearer it is to what it was
+    plates part, if the clutch is opened now. It changes the slower the nearer it is to what it was
     asked for."""
     gear, sheet = context.running.target, context.sheet
     ratio = sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
     meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - sheet.clutch.kiss_share)
-    parting_s, lag_s = meeting * sheet.clutch.open_delay_s + context.tick_us * US, sheet.engine.lag_s
+    parting_s, lag_s = (
+        meeting * sheet.clutch.open_delay_s + context.tick_us * US,
+        sheet.engine.lag_s,
+    )
     comes = ratio * context.torque.engine_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
     return -SHORT_RAD_S <= slip_rad_s + comes - wanted_rad_s <= OVER_RAD_S
 
 
 def raise_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
     """The engine rises for a gear that is too slow from when the old one is out of its teeth, so
-    that it has come to its speed when the plates meet. Not where a sleeve has left neutral again."""
+    that it has come to its speed when the plates meet. Not for a sleeve that has left neutral."""
     shift, window = context.running, context.settings.window
     slip = snapshot.speeds.slip_rad_s(shift.target.main)
     is_too_slow = slip is not None and slip < window.contact_low_rad_s

@@ -100,8 +100,8 @@ def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor()
 
 def assert_aimed_well(loop: Loop, source: ReferenceSource) -> None:
     """The last shift was aimed by a reference from there that is right: the rig's truth at contact
-    is what the controller expected, and not a flank further. Whether that was in the gap is a matter
-    of what was expected."""
+    is what the controller expected, and not a flank further. Whether that was in the gap is a
+    matter of what was expected."""
     assert loop.outcomes[-1].reference is PhaseReference.KNOWN
     assert loop.outcomes[-1].reference_source is source
     shifts = RowCollector(loop.sheet)

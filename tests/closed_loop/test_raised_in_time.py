@@ -1,4 +1,4 @@
-"""A downshift's engine: asked in time, and the layshaft let go at the slip that a first contact wants.
+"""A downshift's engine: asked in time, and the layshaft let go at the slip of a first contact.
 
 By the rig's truth, with its engine's lag and its clutch's plates."""
 

@@ -22,9 +22,7 @@ HALF_A_RETRY_MS = 250.0
 """A sleeve that meets a tooth and is fired a second time costs some 500 ms (docs/strategy.md)."""
 
 
-def aimed_shift(
-    monkeypatch: pytest.MonkeyPatch, doubted: int, seed: int = SEEDS[0]
-) -> ShiftRow:
+def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int, seed: int = SEEDS[0]) -> ShiftRow:
     """An aimed shift of a rigid gearbox whose firings are said, this many times, to meet a tooth,
     and from then on to meet a gap."""
     sheet = load_sheet("truck12")

@@ -138,10 +138,11 @@ MIDDLES = ROUND_PITCH / CELLS * np.arange(CELLS)
 
 
 def by_bayes(raw: np.ndarray, sd: float, flanks: tuple[int, ...]) -> tuple[float, float]:
-    """Mean of the middles within 0.3 backlashes of the likeliest, and deviation of all from it. Of a measurement's phase from the middle 3 of 5 are at a flank, 1 of 50 is astray
-    anywhere, the others are even over the gap, all blurred by its error; it reports a quarter of
-    one alone. Those of a tooth that the slip has just carried to a flank are at that one in 49 of
-    50, and report each its own."""
+    """Mean of the middles within 0.3 backlashes of the likeliest, and deviation of all from it. Of
+    a measurement's phase from the middle 3 of 5 are at a flank, 1 of 50 is astray anywhere, the
+    others are even over the gap, all blurred by its error; it reports a quarter of one alone.
+    Those of a tooth that the slip has just carried to a flank are at that one in 49 of 50, and
+    report each its own."""
     half, logs = ROUND_BACKLASH / 2.0, np.zeros(CELLS)
     for phase, carried in zip(raw, flanks, strict=False):
         off = wrapped(phase - MIDDLES)

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_strategy import GEAR, RATIO, learned
+from test_strategy import GEAR, RATIO, SHEET, learned
 
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, first_order_law
 from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.planning.gear_predictor import REFERENCE_SD_RAD, GearPredictor
 
 AT_ZERO, DELAY_SD_S = 0.03, 2e-3
 LAYSHAFT = LayshaftState(1_000.0, 1.5, 100.0, 0.0, 4e-3, 0.25, drag_rad_s2=-30.0)
@@ -95,5 +96,20 @@ def test_what_is_not_known_of_both_shafts_grows_with_time(time_us: float) -> Non
         expected = RATIO**2 * layshaft + main
         assert made.estimate_variance(time_us) == pytest.approx(expected)
         delay = trajectory(time_us)[1] * DELAY_SD_S
-        assert made.phase_sd_rad(time_us) == pytest.approx(math.hypot(math.sqrt(expected), delay))
+        whole = math.hypot(math.sqrt(expected), delay, REFERENCE_SD_RAD)
+        assert made.phase_sd_rad(time_us) == pytest.approx(whole)
         assert made.variances(time_us, 1_000.0, 3) == pytest.approx(np.full(3, expected))
+
+
+def test_what_is_not_known_of_the_phase_reference_adds_to_every_prediction() -> None:
+    """Of a tooth that was seen at one flank alone it is which flank: more than half a gap."""
+    references = PhaseReferences(SHEET)
+    references.locked(GEAR, 0.0)
+    for _ in range(30):
+        references.measure(GEAR, 1.5, 2.0, 0.1 * SHEET.dog.backlash_rad)
+    assert references.settle(GEAR)
+    sure, unsure = predictor(), replace(predictor(), references=references)
+    assert sure.reference_variance == pytest.approx(REFERENCE_SD_RAD**2)
+    added = unsure.phase_sd_rad(43_000.0) ** 2 - sure.phase_sd_rad(43_000.0) ** 2
+    assert added == pytest.approx(references.sd_rad(GEAR) ** 2)
+    assert math.sqrt(added) > 0.4 * SHEET.dog.backlash_rad

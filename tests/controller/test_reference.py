@@ -140,7 +140,7 @@ def error_share(references: PhaseReferences) -> float:
 def test_a_tooth_that_lies_still_is_at_either_flank_where_the_slip_does_not_say_at_which(
     slip: float,
 ) -> None:
-    """Below 2 rpm its sign is not certain: known as one of two middles, and not to be remembered."""
+    """Below 2 rpm its sign is not certain: one of two middles, and not to be remembered."""
     references = PhaseReferences(SHEET)
     for _ in range(3):
         references.locked(GEAR, slip)

@@ -56,7 +56,8 @@ def test_the_price_of_energy_is_that_of_the_layshafts_energy() -> None:
 @pytest.mark.parametrize("slip_rpm", [0.0, 25.0, 60.0])
 def test_the_sleeves_scatter_spreads_the_phase_by_the_slip(slip_rpm: float) -> None:
     predictor, at_us = predictor_at(slip_rpm), 1_000.0
-    added = predictor.phase_sd_rad(at_us) ** 2 - predictor.estimate_variance(at_us)
+    known = predictor.estimate_variance(at_us) + predictor.reference_variance
+    added = predictor.phase_sd_rad(at_us) ** 2 - known
     expected = (predictor.slip_rad_s(at_us) * SHEET.sleeve.delay_sd_s) ** 2
     assert added == pytest.approx(expected, rel=1e-3, abs=1e-12)
 
