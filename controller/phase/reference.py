@@ -26,6 +26,9 @@ FLANK_SLIP_RAD_S: Final = 0.2
 CARRIED_MEASUREMENTS: Final = 2
 """The first ones of a gear that has just locked are of a tooth where the slip has carried it: 20
 ms."""
+LEARNED_SD_RAD: Final = math.radians(0.1)
+"""Standard deviation of the difference of two references learned of one gear at different times
+(docs/calibration.md), beyond what the measurements in mesh say."""
 OTHER_SHARE: Final = 0.3
 """A constant that differs by so much, in backlashes, is another one: a flank was taken for the
 other. One known no better than this may be that one."""
@@ -48,6 +51,7 @@ class PhaseReferences:
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
+        self._other_rad = OTHER_SHARE * sheet.dog.backlash_rad
         self._offset_rad: dict[MainGear, float] = {}
         self._sd_rad: dict[MainGear, float] = {}
         self._adopted: dict[MainGear, ReferenceSource] = {}
@@ -72,8 +76,7 @@ class PhaseReferences:
 
     def certain(self, gear: MainGear) -> bool:
         """Whether it is known, and at which flank the tooth was seen: enough to be remembered."""
-        most_rad = OTHER_SHARE * self._sheet.dog.backlash_rad
-        return self.known(gear) and self.sd_rad(gear) < most_rad
+        return self.known(gear) and self.sd_rad(gear) < self._other_rad
 
     def phase_rad(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> float:
         """Phase of the gear, unwrapped: wrap it to the pitch to see where in the gap it is.
@@ -115,17 +118,18 @@ class PhaseReferences:
     def settle(self, gear: MainGear) -> bool:
         """Takes over what the measurements show; true where that is a reference, or another one
         than before."""
-        gap, dog = self._gaps.get(gear), self._sheet.dog
+        gap = self._gaps.get(gear)
         middle = None if gap is None else gap.middle()
         if middle is None:
             return False
-        if gear in self._adopted and middle.sd_rad > OTHER_SHARE * dog.backlash_rad:
+        if gear in self._adopted and middle.sd_rad > self._other_rad:
             return False
         is_new = self.source(gear) is not ReferenceSource.MEASURED
-        off = wrap_to_pitch(self._offset_rad.get(gear, 0.0) - middle.raw_rad, dog.pitch_rad)
+        moved_rad = self._offset_rad.get(gear, 0.0) - middle.raw_rad
+        off = wrap_to_pitch(moved_rad, self._sheet.dog.pitch_rad)
         self._offset_rad[gear], self._sd_rad[gear] = middle
         self._adopted.pop(gear, None)
-        return is_new or abs(off) > OTHER_SHARE * dog.backlash_rad
+        return is_new or abs(off) > self._other_rad
 
     def released(self) -> MainGear | None:
         """The gear leaves the mesh. Returns it where it was watched."""

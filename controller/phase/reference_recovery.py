@@ -24,7 +24,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.tooth_match import ToothPattern
-from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.phase.reference import LEARNED_SD_RAD, PhaseReferences
 from meshpoint.controller.phase.turn_candidates import (
     TurnSet,
     all_turns,
@@ -39,9 +39,6 @@ from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 from meshpoint.units import TURN
 
-LEARNED_SD_RAD: Final = math.radians(0.1)
-"""Standard deviation of the difference of two references learned of one gear at different times
-(docs/calibration.md)."""
 AGREES_SDS: Final = 4.0
 MOST_COUNTED: Final = 1000
 """Largest number of candidate turns of the layshaft that a sensor's count may leave."""

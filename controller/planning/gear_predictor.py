@@ -23,7 +23,7 @@ from meshpoint.controller.motion.models import (
     predict_spread,
 )
 from meshpoint.controller.motion.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
-from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.phase.reference import LEARNED_SD_RAD, PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, trajectories, trajectory
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.kinematics import slip_rad_s
@@ -34,9 +34,6 @@ MOST_TICKS = 16
 """What will be known of the layshaft is worked out at this many ticks of `OUTLOOK_US`."""
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
-REFERENCE_SD_RAD: Final = math.radians(0.1)
-"""Standard deviation of two phase references of one gear that were learned at different times
-(docs/calibration.md), beyond what the measurements in mesh say."""
 CLOSE_RAD_S = 1e-4
 """Tolerance of the root search: some microseconds at the brake's full torque."""
 
@@ -117,8 +114,7 @@ class GearPredictor:
     @property
     def reference_variance(self) -> float:
         """Variance (rad2) of the gear's phase reference, which adds to that of every prediction."""
-        learned_rad = self.references.sd_rad(self.gear)
-        return REFERENCE_SD_RAD**2 + learned_rad**2
+        return LEARNED_SD_RAD**2 + self.references.sd_rad(self.gear) ** 2
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft

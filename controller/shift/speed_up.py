@@ -69,12 +69,11 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 def _carried_slip(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
     """The gear's slip (rad/s) by the engine's speed, where the plates carry the layshaft with it;
     None where they do not, or a speed is not known."""
-    gear, sheet = context.running.target, context.sheet
-    slip, main = snapshot.speeds.slip_rad_s(gear.main), snapshot.speeds.main
-    if slip is None or main is None or snapshot.engine_rad_s is None:
+    slip = snapshot.speeds.slip_rad_s(context.running.target.main)
+    main, engine = snapshot.speeds.main, snapshot.engine_rad_s
+    if slip is None or main is None or engine is None:
         return None
-    ratio = sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
-    by_engine = ratio * snapshot.engine_rad_s - main
+    by_engine = _gear_over_engine(context) * engine - main
     return by_engine if abs(slip - by_engine) < CARRIED_RAD_S else None
 
 
@@ -84,15 +83,18 @@ def _comes_to(
     """Whether the engine brings the gear from its slip to the one wanted by the time that the
     plates part, if the clutch is opened now. It changes the slower the nearer it is to what it was
     asked for."""
-    gear, sheet = context.running.target, context.sheet
-    ratio = sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
-    meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - sheet.clutch.kiss_share)
-    parting_s, lag_s = (
-        meeting * sheet.clutch.open_delay_s + context.tick_us * US,
-        sheet.engine.lag_s,
-    )
-    comes = ratio * context.torque.engine_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
+    clutch, lag_s = context.sheet.clutch, context.sheet.engine.lag_s
+    meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - clutch.kiss_share)
+    parting_s = meeting * clutch.open_delay_s + context.tick_us * US
+    rate_rad_s2 = _gear_over_engine(context) * context.torque.engine_rad_s2
+    comes = rate_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
     return -SHORT_RAD_S <= slip_rad_s + comes - wanted_rad_s <= OVER_RAD_S
+
+
+def _gear_over_engine(context: ShiftContext) -> float:
+    """Speed of the new gear over the engine's, the clutch closed."""
+    gear, sheet = context.running.target, context.sheet
+    return sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
 
 
 def raise_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:

@@ -12,8 +12,8 @@ from test_strategy import GEAR, RATIO, SHEET, learned
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, first_order_law
 from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.gear_predictor import REFERENCE_SD_RAD, GearPredictor
+from meshpoint.controller.phase.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 
 AT_ZERO, DELAY_SD_S = 0.03, 2e-3
 LAYSHAFT = LayshaftState(1_000.0, 1.5, 100.0, 0.0, 4e-3, 0.25, drag_rad_s2=-30.0)
@@ -96,7 +96,7 @@ def test_what_is_not_known_of_both_shafts_grows_with_time(time_us: float) -> Non
         expected = RATIO**2 * layshaft + main
         assert made.estimate_variance(time_us) == pytest.approx(expected)
         delay = trajectory(time_us)[1] * DELAY_SD_S
-        whole = math.hypot(math.sqrt(expected), delay, REFERENCE_SD_RAD)
+        whole = math.hypot(math.sqrt(expected), delay, LEARNED_SD_RAD)
         assert made.phase_sd_rad(time_us) == pytest.approx(whole)
         assert made.variances(time_us, 1_000.0, 3) == pytest.approx(np.full(3, expected))
 
@@ -109,7 +109,7 @@ def test_what_is_not_known_of_the_phase_reference_adds_to_every_prediction() -> 
         references.measure(GEAR, 1.5, 2.0, 0.1 * SHEET.dog.backlash_rad)
     assert references.settle(GEAR)
     sure, unsure = predictor(), replace(predictor(), references=references)
-    assert sure.reference_variance == pytest.approx(REFERENCE_SD_RAD**2)
+    assert sure.reference_variance == pytest.approx(LEARNED_SD_RAD**2)
     added = unsure.phase_sd_rad(43_000.0) ** 2 - sure.phase_sd_rad(43_000.0) ** 2
     assert added == pytest.approx(references.sd_rad(GEAR) ** 2)
     assert math.sqrt(added) > 0.4 * SHEET.dog.backlash_rad

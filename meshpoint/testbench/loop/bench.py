@@ -36,11 +36,12 @@ COMMAND_EVERY: Final = 2
 """BenchCommand goes out every 20 ms."""
 REQUEST_EVERY_US: Final = 50_000
 PATIENCE_US: Final = 8_000_000
+"""A step of the plan that takes longer has failed; the bench goes on with the next shift."""
 RETURN_AGAIN_US: Final = 2_000_000
 """A rig that has not returned to a gear in this time is asked again, and begins anew: a tooth may
 stand on a tooth. The way back takes half a second."""
 MOST_RETURNS: Final = PATIENCE_US // RETURN_AGAIN_US + 1
-"""A step of the plan that takes longer has failed; the bench goes on with the next shift."""
+"""Of one shift at most, each with a sequence number of its own."""
 BENCH_IDS: Final = frozenset(
     CODECS[kind.__name__].spec.can_id
     for kind in (ControllerStatus, ShiftOutcome, ReferenceEngagement)
