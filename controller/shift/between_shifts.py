@@ -19,14 +19,16 @@ FREE_AGAIN_US: Final = 300 * MS_IN_US
 
 
 def find_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """After power-up: waits until everything a shift needs is there, then finds the gear. A sleeve
-    that stands between neutral and a gear is brought to neutral first."""
+    """After power-up: waits until everything a shift needs is there and the guard lets valves be
+    driven, then finds the gear: who reads that a gear is in may ask for another. A sleeve that
+    stands between neutral and a gear is brought to neutral first."""
     if snapshot.lost in MISSING:
         return None
     if snapshot.view.complete and snapshot.view.main_gear is None:
         _free_sleeves(context, snapshot)
         return None
-    return watch_gear(context, snapshot)
+    found = watch_gear(context, snapshot)
+    return found if snapshot.is_self_tested else None
 
 
 def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:

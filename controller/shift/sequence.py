@@ -168,9 +168,7 @@ class ShiftSequence(ShiftContext):
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A drive gear is requested. Returns a line for the log if the request is refused."""
-        # Before the guard's self-test the clutch would open, and every valve stay blocked.
-        is_ready = self.state in (State.IN_GEAR, State.NEUTRAL) and snapshot.is_self_tested
-        if not is_ready or self._rests(snapshot):
+        if self.state not in (State.IN_GEAR, State.NEUTRAL) or self._rests(snapshot):
             return None
         current = snapshot.view.gear_number
         if number == current:
@@ -207,6 +205,8 @@ class ShiftSequence(ShiftContext):
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
         if not self.armed:
             return FaultCode.GUARD_BLOCKED, "the outputs are not armed (--arm)"
+        if not snapshot.is_self_tested:  # the sensors' clock is another: it begins anew
+            return FaultCode.GUARD_BLOCKED, "the guard's self-test is not passed again yet"
         if snapshot.lost is not FaultCode.NONE:
             return snapshot.lost, f"{snapshot.lost.name.lower()} before it began"
         if snapshot.view.main_gear is None:

@@ -41,15 +41,25 @@ from meshpoint.gearbox import MainGear, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
 
 
-def test_no_request_is_taken_before_the_guard_s_self_test_is_passed() -> None:
-    """A shift begun before would open the clutch and then find every valve blocked (row 12)."""
-    box = Box(7, 150.0, phase_rad=0.01, is_self_tested=False).ready()
+def test_a_controller_starts_until_the_guard_s_self_test_is_passed() -> None:
+    """Whoever reads that a gear is in asks for the next, once, and is not heard in vain."""
+    box = Box(7, 150.0, phase_rad=0.01, is_self_tested=False)
     for _ in range(60):
         box.ask(9)
-        assert box.step() is State.IN_GEAR
+        assert box.step() is State.STARTING
     assert (box.records, box.clutch) == ([], 1.0)
     box.is_self_tested = True
-    assert box.shift(9).result is ShiftResult.ENGAGED
+    assert box.ready().shift(9).result is ShiftResult.ENGAGED
+
+
+def test_a_request_is_refused_while_the_guard_tests_itself_again() -> None:
+    """With another clock of the sensors. A shift begun then would open the clutch and find every
+    valve blocked (row 12)."""
+    box = Box(7, 150.0, phase_rad=0.01).ready()
+    box.is_self_tested = False
+    refusal = box.ask(9)
+    assert refusal == "request for gear 9 refused: the guard's self-test is not passed again yet"
+    assert (box.step(), box.clutch) == (State.IN_GEAR, 1.0)
 
 
 @pytest.mark.parametrize("way", WAYS)
