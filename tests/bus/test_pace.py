@@ -17,7 +17,6 @@ from patience import HANG_S
 
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
-from meshpoint.dbc.frame import Frame
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.pace import (
     BUS_SILENCE_US,
@@ -29,6 +28,7 @@ from meshpoint.bus.pace import (
     PaceFile,
     Pacemaker,
 )
+from meshpoint.dbc.frame import Frame
 
 ELAPSED_US = st.floats(0.0, 400_000.0)
 NOBODY = [None] * len(PACED_NODES)
