@@ -135,9 +135,9 @@ digests: $(VENV)/test.stamp
 
 # Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
 # that differ from where this branch left origin/main, and no more than can be run in a minute; ARGS:
-# see tests/mutation/run_mutants.py.
+# see tools/mutation/run_mutants.py.
 mutants: $(VENV)/test.stamp
-	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
+	$(BIN)/python tools/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
 
 # The same for the firmware's slots, expiry and output stage, compiled anew each time.
 firmware-mutants: $(VENV)/test.stamp
@@ -157,9 +157,11 @@ firmware-lint:
 test-containers:
 	tools/test-containers
 
+# Style, and the rules of tools/rules: words, names and links of documents, what sources may not do.
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/lint.py
 
 types: $(VENV)/test.stamp
 	tools/linked-tree
