@@ -59,7 +59,6 @@ OF_CHECK = {
 OF_TEST = {
     "closed_loop/test_recorded_runs.py",
     "closed_loop/test_shifts.py",
-    "closed_loop/test_all_gears.py",
     "closed_loop/test_faults.py",
     "closed_loop/test_guard_alone.py",
     "closed_loop/test_replay.py",
