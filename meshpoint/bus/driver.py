@@ -170,7 +170,8 @@ class _Node:
             if self._records is not None:
                 self._report(self._records.write())
         self._set_timer(now_us)
-        self._clock.here()
+        if self._reception is None or not self._reception.awaits_frames:
+            self._clock.here()
 
     def _set_timer(self, now_us: int) -> None:
         # A step that is asked for at once is due now, however long ago its time may be.

@@ -3,9 +3,10 @@
 A machine under load stops a process, or all of them, for tenths of a second, while a valve command
 expires after 100 ms: on such a machine a live run shows the machine, not the gearbox. Here time is
 kept in a file that all nodes read. A pacemaker moves it on with the wall clock, but never further
-than every node has promised to look at it again, plus a millisecond. A node that has heard others
-promises nothing while it hears nobody, so that frames on their way are waited for as well. A
-machine that keeps up runs in real time; one that does not runs slower, and the nodes cannot tell.
+than every node has promised to look at it again, plus a millisecond. A node promises nothing while
+frames are on their way from or to it, as far as its bus can tell, nor, once it has heard others,
+while it hears nobody: frames are waited for as well. A machine that keeps up runs in real time; one
+that does not runs slower, and the nodes cannot tell.
 
 One writer a word, so nothing needs a lock.
 """

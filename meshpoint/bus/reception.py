@@ -33,6 +33,10 @@ class Reception(Protocol):
     def take(self) -> Batch:
         """All that has arrived by now; never waits."""
 
+    @property
+    def awaits_frames(self) -> bool:
+        """Whether frames are known to be on their way, from or to this node."""
+
     async def stop(self) -> None:
         """Leaves the bus alone. `on_ready` is not called any more."""
 
@@ -70,6 +74,10 @@ class _DescriptorReception:
             return Batch(messages, error)
         return Batch(messages, None)
 
+    @property
+    def awaits_frames(self) -> bool:
+        return isinstance(self._bus, MeshpointBus) and self._bus.has_frames_on_their_way
+
     async def stop(self) -> None:
         self._loop.remove_reader(self._descriptor)
 
@@ -96,6 +104,10 @@ class _ThreadReception:
         if self._arrived:
             self._announce()
         return Batch(messages, error)
+
+    @property
+    def awaits_frames(self) -> bool:
+        return bool(self._arrived)
 
     async def stop(self) -> None:
         self._ending.set()

@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -16,6 +17,7 @@ from patience import HANG_S
 
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
+from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.pace import (
     BUS_SILENCE_US,
     HEARTBEAT_US,
@@ -26,6 +28,7 @@ from meshpoint.bus.pace import (
     PaceFile,
     Pacemaker,
 )
+from meshpoint.dbc.frame import Frame
 
 ELAPSED_US = st.floats(0.0, 400_000.0)
 NOBODY = [None] * len(PACED_NODES)
@@ -166,9 +169,9 @@ def test_a_pace_file_that_is_cut_off_ends_its_processes_with_an_error(content, t
     assert keeper.returncode == 1
 
 
-def rig_on(file, core, stop):
+def rig_on(file, core, stop, open_bus=None):
     node = run_node(
-        core, _SilentBus, PacedClock(file, "rig"), on_event=print, stop=stop, name="rig"
+        core, open_bus or _SilentBus, PacedClock(file, "rig"), on_event=print, stop=stop, name="rig"
     )
     return asyncio.create_task(node)
 
@@ -273,6 +276,50 @@ def test_time_waits_for_frames_on_their_way_and_gives_a_silent_bus_up(tmp_path):
     assert file.now_us - 50_000 >= waited_us + 9_000, "time goes on with the frame"
     run(2_500)
     assert file.now_us > 1_000_000, "nobody speaks any more"
+
+
+class _Speaker(_Ticker):
+    """A core that sends a frame in each step."""
+
+    stalled = True
+
+    def step(self, now_us):
+        super().step(now_us)
+        return Step([Frame(0x123, bytes(64), True, False)], [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="how much waits, Linux alone tells")
+def test_time_waits_for_a_hub_that_has_not_passed_frames_on(hub, tmp_path):
+    file = PaceFile.create(tmp_path / "pace")
+    pacemaker, core = Pacemaker(speed=1.0), _Speaker()
+    channel, process = hub
+
+    async def turns(node, until):
+        """The node and the pacemaker by turns, each of which is a millisecond."""
+        for _ in range(100_000):
+            if until():
+                return
+            file.set_now(pacemaker.advance(1_000.0, file.promises_us()))
+            await asyncio.sleep(0.001)
+            if node.done():
+                node.result()
+        raise AssertionError
+
+    async def run():
+        stop = asyncio.Event()
+        node = rig_on(file, core, stop, lambda: MeshpointBus(channel, start_hub=False))
+        await turns(node, lambda: len(core.late_us) >= 5)
+        process.send_signal(signal.SIGSTOP)
+        stopped_us, turn = file.now_us, itertools.count()
+        await turns(node, lambda: next(turn) > 200)
+        # What it sent last may have been passed on, but not what it sends next.
+        assert file.now_us - stopped_us <= 10_000 + HEARTBEAT_US + SLACK_US
+        process.send_signal(signal.SIGCONT)
+        await turns(node, lambda: file.now_us - stopped_us > 100_000)
+        stop.set()
+        await node
+
+    asyncio.run(asyncio.wait_for(run(), HANG_S))
 
 
 def test_a_pace_file_is_closed_with_the_last_that_uses_it(tmp_path: Path) -> None:

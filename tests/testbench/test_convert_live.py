@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,25 @@ def test_a_web_page_from_elsewhere_cannot_read_the_bus(view: View, origin: str) 
 def test_a_page_of_this_machine_or_one_that_is_allowed_can(view: View, origin: str) -> None:
     with view.connect("foxglove.sdk.v1", origin=origin) as viewer:
         assert json.loads(viewer.recv())["op"] == "serverInfo"
+
+
+def test_more_viewers_than_the_most_are_refused_until_one_goes(view: View) -> None:
+    with ExitStack() as connected:
+        viewers: list[ClientConnection] = []
+        with pytest.raises(InvalidStatus) as refused:
+            while len(viewers) < 1_000:
+                viewer = connected.enter_context(view.connect("foxglove.sdk.v1"))
+                assert json.loads(viewer.recv())["op"] == "serverInfo"
+                viewers.append(viewer)
+        assert (len(viewers), refused.value.response.status_code) == (16, 503)
+        first_message(view, viewers[-1])
+    while True:  # the server hears of it a little later
+        try:
+            with view.connect("foxglove.sdk.v1") as viewer:
+                assert json.loads(viewer.recv())["op"] == "serverInfo"
+                return
+        except InvalidStatus:
+            time.sleep(0.05)
 
 
 def test_what_is_no_request_is_answered_without_a_line(view: View) -> None:

@@ -2,6 +2,7 @@
 
 import select
 import socket
+import struct
 import sys
 import threading
 import time
@@ -22,7 +23,13 @@ from meshpoint.bus.local.channel import (
 from meshpoint.bus.local.launch import connect
 from meshpoint.bus.local.wire import Flag
 
+_TELLS_WAITING = sys.platform == "linux"
+if _TELLS_WAITING:
+    from fcntl import ioctl
+    from termios import FIONREAD, TIOCOUTQ  # the latter: what its reader has not read (unix(7))
+
 CONNECT_TIMEOUT_S = 30.0
+_COUNT = struct.Struct("=i")
 _READ_BYTES = 64 * 1024
 _READS_PER_DRAIN = 4
 _MAX_UNSENT_BYTES = 1024 * 1024
@@ -124,6 +131,15 @@ class MeshpointBus(can.BusABC):
             if len(chunk) < _READ_BYTES:
                 break
         return messages
+
+    @property
+    def has_frames_on_their_way(self) -> bool:
+        """Whether the hub has not yet read all that this node has sent, or this node not all that
+        the hub has passed on. Where the system cannot tell (not Linux): what this node has not
+        sent yet."""
+        if self._unsent or self._lost or not _TELLS_WAITING:
+            return bool(self._unsent)
+        return any(_waiting_bytes(self._socket, queue) for queue in (FIONREAD, TIOCOUTQ))
 
     def shutdown(self) -> None:
         """Sends what is left to send, as far as the hub takes it soon, and closes."""
@@ -257,6 +273,11 @@ class MeshpointBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[AutoDetectedConfig]:
         return [{"interface": "meshpoint", "channel": str(default_channel())}]
+
+
+def _waiting_bytes(sock: socket.socket, queue: int) -> int:
+    (count,) = _COUNT.unpack(ioctl(sock, queue, bytes(_COUNT.size)))
+    return int(count)
 
 
 def _wait_for(sock: socket.socket, read: bool, write: bool, seconds: float | None) -> None:

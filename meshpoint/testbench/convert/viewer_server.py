@@ -37,6 +37,8 @@ MESSAGE: Final = struct.Struct("<BIQ")
 MESSAGE_DATA: Final = 0x01
 MOST_WAITING_BYTES: Final = 4 * 1024 * 1024
 """A viewer that reads more slowly than the bus talks misses what goes beyond it."""
+MOST_VIEWERS: Final = 16
+"""At once: each may have that much waiting."""
 LONGEST_REQUEST_BYTES: Final = 256 * 1024
 MOST_ASKED: Final = 1_000
 """More than there are channels, and than the time of a send allows."""
@@ -149,11 +151,14 @@ class ViewerServer:
             await asyncio.wait_for(server.wait_closed(), 2 * END_S)
 
     def _refusal(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The answer to a page that may not read the bus."""
+        """The answer to a page that may not read the bus, and to a viewer too many."""
         for origin in request.headers.get_all("Origin"):
             if origin not in self._origins and not OWN_PAGE.fullmatch(origin):
                 self._on_refused(origin)
                 return connection.respond(HTTPStatus.FORBIDDEN, "pages of this origin: --origin\n")
+        if len(self._viewers) >= MOST_VIEWERS:
+            allowed = f"{MOST_VIEWERS} viewers are connected, which is the most\n"
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, allowed)
         return None
 
     async def _take_viewer(self, connection: ServerConnection) -> None:
