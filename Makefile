@@ -1,11 +1,13 @@
 # make demo   set up a virtual environment and run the demonstration
-# make test   the same, with the tools for testing, and run the tests; make long: those of many seconds;
-#             make devices: those that need what not every machine has
+# make test   the same, with the tools for testing, and run the tests that prove the product: cores, wire, rig,
+#             bus, recorded runs, closed loops, live nodes
+# make check  all other tests that CI runs; make long: those of many seconds; make devices: those that
+#             need what not every machine has
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -32,10 +34,16 @@ demo:
 	@begun=$$(date +%s) && $(MAKE) --no-print-directory $(VENV)/run.stamp && \
 	    MESHPOINT_SINCE=$$begun $(BIN)/meshpoint demo --out out/demo
 
+SUITE := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
+    --ignore=tests/acceptance --ignore=tests/vcan --ignore=tests/controllers_emulated
+
 # The kernels first, or both workers compile the same ones at once.
 test: kernels
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not long and not device" \
-	    --ignore=tests/acceptance --ignore=tests/vcan --ignore=tests/controllers_emulated
+	$(SUITE) -m "not long and not check and not device"
+
+# Which these are: tests/conftest.py, and marks of single tests.
+check: kernels
+	$(SUITE) -m "check and not long and not device"
 
 # What takes many seconds: whole documents held against runs, statistics over many shifts, crowds
 # of live processes.
@@ -135,9 +143,9 @@ digests: $(VENV)/test.stamp
 
 # Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
 # that differ from where this branch left origin/main, and no more than can be run in a minute; ARGS:
-# see tests/mutation/run_mutants.py.
+# see tools/mutation/run_mutants.py.
 mutants: $(VENV)/test.stamp
-	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
+	$(BIN)/python tools/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
 
 # The same for the firmware's slots, expiry and output stage, compiled anew each time.
 firmware-mutants: $(VENV)/test.stamp
@@ -157,9 +165,11 @@ firmware-lint:
 test-containers:
 	tools/test-containers
 
+# Style, and the rules of tools/rules: words, names and links of documents, what sources may not do.
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/lint.py
 
 types: $(VENV)/test.stamp
 	tools/linked-tree

@@ -47,19 +47,59 @@ settings.register_profile("explore", UNTIMED)
 settings.register_profile("same", UNTIMED, derandomize=True, database=None)
 settings.load_profile("same")
 
+HERE = Path(__file__).parent
 LONGEST_FIRST = ("campaign", "testbench", "closed_loop", "swarm", "fuzz", "studies", "bus")
 """Folders with long files: one that began last would keep one worker busy while the other is
 done."""
+OF_CHECK = {
+    "api", "campaign", "captured", "closed_loop", "contract", "firmware", "fuzz", "planted",
+    "silkit", "studies", "swarm", "testbench", "tools",
+}  # fmt: skip
+"""Folders whose tests are marked `check`, but for those of OF_TEST."""
+OF_TEST = {
+    "closed_loop/test_recorded_runs.py",
+    "closed_loop/test_shifts.py",
+    "closed_loop/test_faults.py",
+    "closed_loop/test_guard_alone.py",
+    "closed_loop/test_replay.py",
+    "testbench/test_live.py",
+}
+"""Files of such folders that prove the product in `make test`: recorded runs, closed loops, nodes
+on a live bus."""
 
 
+def is_of_check(path: Path) -> bool:
+    """Whether a file's tests are all marked `check` by its folder."""
+    if HERE not in path.parents:
+        return False
+    name = path.relative_to(HERE).as_posix()
+    return name.partition("/")[0] in OF_CHECK and name not in OF_TEST
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A file of which nothing would be run is not imported: `make test` leaves out those of
+    `check`, `make check` those that have no such test."""
+    chosen = str(config.option.markexpr)
+    if not collection_path.name.startswith("test_") or "check" not in chosen:
+        return None
+    if "not check" in chosen:
+        return is_of_check(collection_path) or None
+    if is_of_check(collection_path):
+        return None
+    return "mark.check" not in collection_path.read_text(encoding="utf-8") or None
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begins with the longest."""
-    here = Path(__file__).parent
+    """Marks what belongs to `make check`, and begins with the longest."""
 
     def place(item: pytest.Item) -> int:
-        folder = item.path.relative_to(here).parts[0] if here in item.path.parents else ""
+        folder = item.path.relative_to(HERE).parts[0] if HERE in item.path.parents else ""
         return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
 
+    for item in items:
+        if is_of_check(item.path):
+            item.add_marker("check")
     items.sort(key=place)
 
 

@@ -1,7 +1,7 @@
 """Opening files that people name: regular files only, and no more of them than is allowed.
 
 A pipe would be waited for, a device read for ever: neither is a file of settings or a log. All
-reading goes through here; tests/contract/test_opening.py says so, and lists the exceptions.
+reading goes through here; tools/rules/opening.py says so, and lists the exceptions.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ OPTIONAL = (
     "meshpoint.bus.diagnosis",
     "meshpoint.dbc.classic",
 )
+pytestmark = pytest.mark.check
+
 LOADED = "import json, sys; print(json.dumps([*sys.modules]))"
 SIMULATE = "from meshpoint.testbench.cli import main; main({}); "
 RUN = ["simulate", "--shifts", "1", "--preset", "thesis", "--json", "run.json"]

@@ -141,11 +141,18 @@ TWINS = (
     "main sensor, braking", "layshaft sensor, raising", "position frozen in gear", "no brake",
 )  # fmt: skip
 """Their kind of fault strikes in another line too; these by `make long`."""
+QUICK = (
+    "clutch stuck closed", "air lost in mid-shift", "splitter valve stuck", "every edge twice",
+    "layshaft sensor, braking",
+)  # fmt: skip
+"""One of each part of the gearbox; the others by `make check`."""
 
 
 def lines() -> Iterator[Any]:
     for case in CASES:
-        marks = (pytest.mark.long,) if case.name in TWINS else ()
+        marks = [pytest.mark.long] * (case.name in TWINS) + [pytest.mark.check] * (
+            case.name not in QUICK
+        )
         yield pytest.param(case, id=case.name, marks=marks)
 
 

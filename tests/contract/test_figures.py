@@ -26,7 +26,7 @@ OF_RESULTS = [
 ]  # fmt: skip
 GIVEN = "<!-- given -->"
 COUNTED = "<!-- begin: made by `make mutants` -->"
-"""A table that another tool writes, held by tests/mutation/test_mutator.py."""
+"""A table that another tool writes, held by tests/tools/test_mutator.py."""
 KEYS = {"command", "commit", "date", "machine", "conditions", "of", "figures"}
 FOUND = figures.measurements()
 OLDER = {name: figures.is_older(measurement) for name, measurement in FOUND.items()}

@@ -3,6 +3,8 @@ is changed in it."""
 
 from __future__ import annotations
 
+from meshpoint.controller.guard.case import GuardState
+from meshpoint.controller.guard.driveline import DrivelineGuard, DrivelineState
 from meshpoint.controller.guard.limits import GuardLimits, guard_limits
 from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import (
@@ -107,6 +109,16 @@ def ready(limits: GuardLimits = LIMITS, seen: GuardInputs = NEUTRAL) -> Guard:
     for _ in range(PROOF_STEPS):
         assert guard.passes(payload(), seen._replace(valid=True, requested_gear=ASKED))
     return guard
+
+
+def kept(guard: Guard) -> GuardState:
+    """What a guard keeps from frame to frame: tests look into it here alone."""
+    return guard._state
+
+
+def kept_of_driveline(guard: DrivelineGuard) -> DrivelineState:
+    """The same of the guard of clutch and engine."""
+    return guard._state
 
 
 def blocked_row(

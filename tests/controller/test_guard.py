@@ -28,6 +28,7 @@ from guard_cases import (
     blocked_row,
     braking,
     encoded,
+    kept,
     near,
     payload,
     place,
@@ -137,7 +138,7 @@ def test_row_3_counts_what_the_brake_must_take_at_least() -> None:
     seen = NEUTRAL._replace(speeds=speeds(slip_rpm=-55.0))
     for since_us, row in ((NOW - 20_000, None), (NOW - 400_000, 3)):
         guard = ready()
-        guard._state.spans = (Span(since_us, FOREVER), *NO_SPANS[1:])
+        kept(guard).spans = (Span(since_us, FOREVER), *NO_SPANS[1:])
         command = ValveCommand(
             brake_action=ValveAction.OFF_AT,
             brake_time_us=(NOW + 60_000) & 0xFFFF_FFFF,
@@ -153,7 +154,7 @@ def test_row_3_knows_that_the_brakes_pressure_outlasts_its_release() -> None:
     seen = NEUTRAL._replace(speeds=speeds(slip_rpm=300.0))
     for ago_us, row in ((5_000, None), (400_000, 3)):
         guard = ready()
-        guard._state.brake_off_us = NOW - ago_us
+        kept(guard).brake_off_us = NOW - ago_us
         guard.passes(payload(ValveName.MAIN_SECOND), seen)
         assert guard.blocked_row == row
 

@@ -12,6 +12,7 @@ from guard_cases import (
     blocked_row,
     braking,
     encoded,
+    kept,
     payload,
     place,
     ready,
@@ -158,7 +159,7 @@ def test_row_6_the_brake_at_too_low_a_speed() -> None:
     """100 rpm, and the 302 that the brake could take before it is off; never on a lost speed."""
     for layshaft_rpm, row in ((410.0, None), (395.0, 6)):
         guard = ready()
-        guard._state.spans = (Span(NOW - 200_000, FOREVER), *NO_SPANS[1:])
+        kept(guard).spans = (Span(NOW - 200_000, FOREVER), *NO_SPANS[1:])
         seen = NEUTRAL._replace(speeds=speeds(layshaft_rpm))
         guard.passes(payload(ValveName.BRAKE), seen)
         assert guard.blocked_row == row

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from guard_cases import kept_of_driveline
 from test_guard_driveline import CLOSE, HIGH, IN_GEAR, LIMITS, MAIN_RPM, OPEN, SECOND, torque
 
 from meshpoint.controller.guard.driveline import (
@@ -143,7 +144,7 @@ def test_nothing_is_earned_while_no_time_passes() -> None:
     for _ in range(LIMITS.closings):
         assert guard.passes_clutch(CLOSE, IN_GEAR)
         assert guard.passes_clutch(OPEN, IN_GEAR)
-    assert guard._state.credits == 0.0
+    assert kept_of_driveline(guard).credits == 0.0
     assert not guard.passes_clutch(CLOSE, IN_GEAR)
 
 
@@ -151,10 +152,10 @@ def test_a_clutch_is_closed_and_its_plates_apart_exactly_at_their_limits() -> No
     guard = DrivelineGuard(LIMITS)
     assert guard.passes_clutch(CLOSE, IN_GEAR)
     assert guard.passes_clutch(CLOSE, IN_GEAR._replace(clutch_closed=CLUTCH_CLOSED_SHARE))
-    assert guard._state.is_closed
+    assert kept_of_driveline(guard).is_closed
     pulls = IN_GEAR._replace(clutch_closed=1.0, engine_torque_share=0.4)
     assert guard.passes_engine(torque(0.0), pulls)
-    assert guard._state.torque_us == LIMITS.tick_us
+    assert kept_of_driveline(guard).torque_us == LIMITS.tick_us
     apart = pulls._replace(clutch_closed=LIMITS.clutch_open_share)
     assert guard.passes_engine(torque(0.0), apart)
-    assert guard._state.torque_us == 0
+    assert kept_of_driveline(guard).torque_us == 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 
 import pytest
+from guard_cases import kept_of_driveline
 from test_guard_driveline import IN_GEAR, LIMITS, NOW, torque
 
 from meshpoint.controller.guard.driveline import (
@@ -66,8 +67,10 @@ def looked(*steps: tuple[int, float | None]) -> list[tuple[int, float]]:
     """What the guard keeps of the engine's speeds, after steps at these times."""
     guard = DrivelineGuard(LIMITS)
     for after_us, speed in steps:
-        guard._note_engine(IN_GEAR._replace(now_us=NOW + after_us, engine_rad_s=speed))
-    return [(time_us - NOW, speed) for time_us, speed in guard._state.engine]
+        guard.passes_engine(
+            torque(0.0), IN_GEAR._replace(now_us=NOW + after_us, engine_rad_s=speed)
+        )
+    return [(time_us - NOW, speed) for time_us, speed in kept_of_driveline(guard).engine]
 
 
 def test_six_measurements_are_kept_each_of_its_own_time() -> None:

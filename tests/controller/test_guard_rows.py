@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import pytest
-from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, calm, payload, place, ready, speeds
+from guard_cases import LIMITS, NEUTRAL, NOW, SHEET, calm, kept, payload, place, ready, speeds
 from test_guard_driveline import CLOSE, IN_GEAR, INPUT_RPM, OPEN, engine
 
 from meshpoint.controller.guard import driveline, rules
@@ -76,14 +76,14 @@ def test_there_is_a_command_for_each_row() -> None:
 @pytest.mark.parametrize("row", FORBIDDEN)
 def test_each_row_forbids_what_no_other_does(row: int, monkeypatch: pytest.MonkeyPatch) -> None:
     driven, seen, before = FORBIDDEN[row]
-    kept = tuple(each for each in GUARD_ROWS if each.number != row)
-    for rows, expected in ((GUARD_ROWS, row), (kept, None)):
+    others = tuple(each for each in GUARD_ROWS if each.number != row)
+    for rows, expected in ((GUARD_ROWS, row), (others, None)):
         monkeypatch.setattr(rules, "GUARD_ROWS", rows)
         guard = ready()
-        before(guard._state)
+        before(kept(guard))
         guard.passes(payload(*driven, at_us=NOW), seen)
         assert guard.blocked_row == expected
-        assert guard._state.latched_by == (expected if expected in (1, 2) else 0)
+        assert kept(guard).latched_by == (expected if expected in (1, 2) else 0)
 
 
 @pytest.mark.parametrize("row", DRIVELINE)
@@ -92,8 +92,8 @@ def test_so_does_each_row_of_clutch_and_engine(row: int, monkeypatch: pytest.Mon
     for left_out in (False, True):
         if left_out:
             for name in ("CLUTCH_ROWS", "ENGINE_ROWS"):
-                kept = tuple(each for each in getattr(driveline, name) if each.number != row)
-                monkeypatch.setattr(driveline, name, kept)
+                left = tuple(each for each in getattr(driveline, name) if each.number != row)
+                monkeypatch.setattr(driveline, name, left)
         guard = DrivelineGuard(LIMITS)
         if row == 14:
             guard.passes_engine(engine(2.0 * INPUT_RPM), IN_GEAR)

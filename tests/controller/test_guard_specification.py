@@ -7,6 +7,7 @@ import dataclasses
 from typing import Any
 
 import pytest
+from guard_cases import kept
 
 from meshpoint.controller.guard import rules
 from meshpoint.controller.guard.case import NO_SPANS, Case, GuardState, Span, Spans, Wish
@@ -285,7 +286,7 @@ def test_a_guard_is_armed_or_not() -> None:
 
 def noted(guard: Guard, now_us: int, **changes: Any) -> GuardState:
     guard._note(case(**changes).seen._replace(now_us=now_us))
-    return guard._state
+    return kept(guard)
 
 
 def test_the_brakes_energy_is_torque_times_speed_times_time() -> None:
@@ -297,7 +298,7 @@ def test_the_brakes_energy_is_torque_times_speed_times_time() -> None:
     unknown = {"rad_s": (None, None, 0.0, 0.0)} | pressed
     assert noted(guard, NOW + 2 * S, **unknown).brake_j == 1024.0 * 64.0 / 2.0
     assert noted(guard, NOW + 3 * S, **pressed).brake_j == 1024.0 * 64.0 * 1.5
-    assert guard._state.judged_us == NOW + 3 * S
+    assert kept(guard).judged_us == NOW + 3 * S
 
 
 def test_a_request_is_kept_for_a_gear_there_is_until_it_is_in() -> None:
@@ -313,27 +314,32 @@ def test_a_request_is_kept_for_a_gear_there_is_until_it_is_in() -> None:
     assert noted(guard, NOW, clutch_closed=CLUTCH_CLOSED_SHARE, **in_gear).wanted is None
 
 
+def passed(guard: Guard, spans: Spans, now_us: int = NOW) -> GuardState:
+    """What is kept of a command that was let pass, where nothing else is noted."""
+    guard._remember(spans, case().seen._replace(now_us=now_us))
+    return kept(guard)
+
+
 def test_what_is_remembered_of_the_command_that_passed() -> None:
-    guard, seen = Guard(ROUND, armed=True), case().seen
+    guard = Guard(ROUND, armed=True)
     braked, moved = case({BRAKE: on()}).spans, case({RANGE_LOW: on(), SECOND: on()}).spans
-    guard._state.brake_j = 5.0
-    guard._remember(braked, seen)
-    assert (guard._state.brake_off_us, guard._state.brake_j) == (-FOREVER, 5.0)
-    guard._remember(moved, seen)
-    assert guard._state.spans is moved
-    assert guard._state.group_us == {RANGE_LOW: NOW}
-    assert (guard._state.brake_off_us, guard._state.brake_j) == (NOW, 5.0)  # off only now
-    guard._remember(moved, seen._replace(now_us=NOW + 9))
-    assert guard._state.group_us == {RANGE_LOW: NOW + 9}
-    assert (guard._state.brake_off_us, guard._state.brake_j) == (NOW, 0.0)
+    kept(guard).brake_j = 5.0
+    state = passed(guard, braked)
+    assert (state.brake_off_us, state.brake_j) == (-FOREVER, 5.0)
+    state = passed(guard, moved)
+    assert state.spans is moved
+    assert state.group_us == {RANGE_LOW: NOW}
+    assert (state.brake_off_us, state.brake_j) == (NOW, 5.0)  # off only now
+    state = passed(guard, moved, NOW + 9)
+    assert state.group_us == {RANGE_LOW: NOW + 9}
+    assert (state.brake_off_us, state.brake_j) == (NOW, 0.0)
     for was, now_us, off_us in (
         (on(NOW, NOW + 5), NOW + 9, NOW + 5), (on(NOW, NOW + 5), NOW + 3, NOW + 3),
         (on(NOW + 7), NOW + 3, -FOREVER), (on(NOW + 7), NOW + 7, NOW + 7),
     ):  # fmt: skip
         guard = Guard(ROUND, armed=True)
-        guard._state.spans = case({BRAKE: was}).spans
-        guard._remember(NO_SPANS, seen._replace(now_us=now_us))
-        assert guard._state.brake_off_us == off_us
+        kept(guard).spans = case({BRAKE: was}).spans
+        assert passed(guard, NO_SPANS, now_us).brake_off_us == off_us
 
 
 @pytest.mark.parametrize("always", [False, True])
@@ -347,7 +353,7 @@ def test_a_guard_whose_decoder_is_wrong_is_never_proven(
     for _ in range(9):
         noted(guard, NOW)
     assert not guard.is_proven
-    assert guard._state.proofs == 0
+    assert kept(guard).proofs == 0
 
 
 def test_with_another_sensor_clock_the_self_test_begins_anew() -> None:

@@ -5,7 +5,7 @@ start that finds it there, its way back, and a second stroke from there.
 from __future__ import annotations
 
 import pytest
-from guard_cases import LIMITS, NOW, place, ready
+from guard_cases import LIMITS, NOW, kept, place, ready
 from guard_sleeve_cases import (
     BRAKE,
     CRAWL,
@@ -242,7 +242,7 @@ def test_one_that_was_pushed_and_called_back_may_be_anywhere_up_to_before_the_te
     for late_ms, early_ms in ((10.0, 22.317), (2.9, 40.0)):
         assert row(guard, at(40, late_ms=late_ms)) is None
         spans = (*NO_SPANS[:SECOND], span, *NO_SPANS[SECOND + 1 :])
-        judged = Case(spans, at(40, late_ms=late_ms), guard._state, LIMITS)
+        judged = Case(spans, at(40, late_ms=late_ms), kept(guard), LIMITS)
         early_us, late_us = judged.contact_us(SECOND, span)
         assert early_us == pytest.approx(span.start_us + 1e3 * early_ms, abs=1.0)
         assert late_us == pytest.approx(span.start_us + 50_000.0)

@@ -76,24 +76,28 @@ def test_each_value_is_in_its_place() -> None:
     assert seen.valid
 
 
+def clutch_per_s(*samples: tuple[int, float]) -> float:
+    """How fast the clutch closes, after frames with its position at these times."""
+    guard_view = view()
+    for counter, (stamp, closed) in enumerate(samples):
+        at = {13: round(closed * 10_000)}
+        frames = [frame(each, counter, stamp, at if each == SENSORS else {}) for each in SLOW]
+        seen = guard_view.take(frames, 500_000 + CYCLE_US * counter, 0)
+    return seen.clutch_per_s
+
+
 @pytest.mark.parametrize(
     ("apart_us", "per_s"), [(25_000, 4.0), (25_001, 0.0), (0, 0.0), (1, 1e5), (-10_000, 0.0)]
 )
 def test_the_clutch_speed_is_taken_from_samples_near_each_other(
     apart_us: int, per_s: float
 ) -> None:
-    guard_view = view()
-    guard_view._see_clutch(5_000, 0.5)
-    assert guard_view._clutch_per_s == 0.0
-    guard_view._see_clutch(5_000 + apart_us, 0.6)
-    assert guard_view._clutch_per_s == pytest.approx(per_s)
+    assert clutch_per_s((50_000, 0.5)) == 0.0
+    assert clutch_per_s((50_000, 0.5), (50_000 + apart_us, 0.6)) == pytest.approx(per_s)
 
 
 def test_a_clutch_that_was_not_heard_for_long_has_no_speed() -> None:
-    guard_view = view()
-    for stamp, closed in ((5_000, 0.5), (15_000, 0.6), (40_001, 0.7)):
-        guard_view._see_clutch(stamp, closed)
-    assert guard_view._clutch_per_s == 0.0
+    assert clutch_per_s((5_000, 0.5), (15_000, 0.6), (40_001, 0.7)) == 0.0
 
 
 def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
@@ -194,12 +198,29 @@ def test_where_the_sensors_start_anew_nothing_of_before_comes_back() -> None:
 @pytest.mark.parametrize(("later_us", "is_known"), [(40_000, True), (40_001, False)])
 def test_the_engine_is_believed_for_40_ms(later_us: int, is_known: bool) -> None:
     guard_view = view()
-    guard_view.take([j1939(0x0CF00400, b3=0, b4=16, b2=165)], 3_000, 0)
+    engine = j1939(0x0CF00400, b3=0, b4=16, b2=165)
+    guard_view.take([engine, *(frame(each, 0, 5_000) for each in SLOW)], 3_000, 0)
     seen = guard_view.take([], 3_000 + later_us, 0)
     assert (seen.engine_rad_s is not None) is is_known
-    assert guard_view._engine_now(3_000 + later_us).torque_share == (
-        pytest.approx(0.4) if is_known else None
-    )
+    assert seen.engine_torque_share == (pytest.approx(0.4) if is_known else None)
+
+
+def turns(
+    guard_view: GuardView, now_us: int, positions: Any, layshaft: TeethCounted | None,
+    main: TeethCounted | None, rad_s: tuple[float | None, float | None] = (TURNING, TURNING),
+) -> int:  # fmt: skip
+    """The valve whose gear turns with its sleeve, after both wheels have counted so far."""
+    for can_id, counted in ((LAYSHAFT_EDGES, layshaft), (MAIN_EDGES, main)):
+        guard_view._shafts[can_id].counted = counted
+    a, b = (None if each is None else ShaftSpeed(now_us, each) for each in rad_s)
+    return guard_view._agreeing(positions, a, b, now_us)
+
+
+def of_teeth(layshaft: int, main: int, valves: dict[int, MainValve]) -> GuardView:
+    """A view of wheels with so many teeth, and of these gears alone."""
+    guard_view = view()
+    guard_view._teeth, guard_view._main = (layshaft, main), valves
+    return guard_view
 
 
 def agreeing(
@@ -210,19 +231,15 @@ def agreeing(
     """Layshaft and main shaft of one ratio turn, a tooth a cycle; over each tenth of a second the
     main shaft is this many teeth behind, or over the second tenth alone; before that, while it
     slipped, one more in each cycle. Its newest edge may be older than the layshaft's."""
-    guard_view = view()
-    guard_view._teeth = (teeth, teeth)
-    guard_view._main = {5: MainValve(1, -1, 3.0), 4: MainValve(0, 1, 1.0)}
+    guard_view = of_teeth(teeth, teeth, {5: MainValve(1, -1, 3.0), 4: MainValve(0, 1, 1.0)})
     found = -1
     for now_us in range(begun_us, begun_us + until_us + 1, CYCLE_US):
         came_us = now_us - begun_us
         halves = came_us // 100_000 - (1 if late else 0)
         behind = slip_teeth * max(0, halves) + min(came_us, slipped_us) // CYCLE_US
         count = came_us // CYCLE_US
-        guard_view._shafts[LAYSHAFT_EDGES].counted = TeethCounted(now_us, count)
-        guard_view._shafts[MAIN_EDGES].counted = TeethCounted(now_us - main_late_us, count - behind)
-        speeds = [None if w is None else ShaftSpeed(now_us, w) for w in rad_s]
-        found = guard_view._agreeing(positions, speeds[0], speeds[1], now_us)
+        main = TeethCounted(now_us - main_late_us, count - behind)
+        found = turns(guard_view, now_us, positions, TeethCounted(now_us, count), main, rad_s)
     return found
 
 
@@ -272,41 +289,39 @@ def test_it_is_asked_while_both_shafts_are_seen_to_turn() -> None:
 
 
 def test_it_begins_anew_when_neutral_was_left_or_a_wheel_not_counted() -> None:
-    turning = ShaftSpeed(0, TURNING)
     for wheel, positions in ((LAYSHAFT_EDGES, (0.0, 0.0)), (MAIN_EDGES, (0.0, 0.0)),
                              (None, (0.0049, 0.0))):  # fmt: skip
         guard_view = view()
         for cycle in range(30):
             now_us, lost = CYCLE_US * cycle, cycle == 12
-            for can_id in (LAYSHAFT_EDGES, MAIN_EDGES):
-                counted = None if lost and can_id == wheel else TeethCounted(now_us, cycle)
-                guard_view._shafts[can_id].counted = counted
+            layshaft, main = (
+                None if lost and can_id == wheel else TeethCounted(now_us, cycle)
+                for can_id in (LAYSHAFT_EDGES, MAIN_EDGES)
+            )
             where = positions if lost else (0.0, 0.0)
-            assert guard_view._agreeing(where, turning, turning, now_us) in (0, 4)[: 2 - lost]
-            first_us = guard_view._turns[0][0].time_us if guard_view._turns else None
+            assert turns(guard_view, now_us, where, layshaft, main) in (0, 4)[: 2 - lost]
+            kept = guard_view._turns
+            first_us = kept[0][0].time_us if kept else None
             assert first_us == (0 if cycle < 12 else None if lost else 130_000)
 
 
 def test_where_no_reading_is_of_the_last_tenth_the_newest_stands_for_it() -> None:
     """A tooth in 60 ms is another speed, in 250 ms it is not."""
-    guard_view, turning = view(), ShaftSpeed(0, TURNING)
-    guard_view._teeth, guard_view._main = (400, 400), {4: MainValve(0, 1, 1.0)}
+    guard_view = of_teeth(400, 400, {4: MainValve(0, 1, 1.0)})
     readings = ((0, 0, 0), (60_000, 6, 5), (140_000, 25, 24))
-    for time_us, layshaft, main in readings:
-        guard_view._shafts[LAYSHAFT_EDGES].counted = TeethCounted(time_us, layshaft)
-        guard_view._shafts[MAIN_EDGES].counted = TeethCounted(time_us, main)
-        found = guard_view._agreeing((0.0, 0.0), turning, turning, max(time_us, 250_000))
+    for time_us, *teeth in readings:
+        counted = (TeethCounted(time_us, each) for each in teeth)
+        found = turns(guard_view, max(time_us, 250_000), (0.0, 0.0), *counted)
     assert found == 4
 
 
 def test_slip_is_worked_out_from_whole_teeth_and_their_times() -> None:
-    guard_view = view()
-    guard_view._teeth = (10, 20)
+    slip = of_teeth(10, 20, {})._slip
     before = (TeethCounted(0, 5), TeethCounted(1_000, 50))
     after = (TeethCounted(500_000, 15), TeethCounted(251_000, 60))
     # One turn in half a second, half a turn in a quarter: 2 turns a second each.
-    assert guard_view._slip(1.0, before, after) == pytest.approx(0.0, abs=1e-12)
-    assert guard_view._slip(0.5, before, after) == pytest.approx(-2.0 * math.pi)
+    assert slip(1.0, before, after) == pytest.approx(0.0, abs=1e-12)
+    assert slip(0.5, before, after) == pytest.approx(-2.0 * math.pi)
     least = (TeethCounted(1, 6), TeethCounted(1_001, 50))
-    assert guard_view._slip(1.0, before, least) == pytest.approx(0.2 * math.pi * 1e6)
-    assert guard_view._slip(1.0, before, before) == 0.0  # no time, no teeth
+    assert slip(1.0, before, least) == pytest.approx(0.2 * math.pi * 1e6)
+    assert slip(1.0, before, before) == 0.0  # no time, no teeth

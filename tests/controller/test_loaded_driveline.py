@@ -221,7 +221,9 @@ def followed(drive: Drive, number: int) -> BehindState | None:
     return follow(drive, number).behind(drive.end_us)
 
 
-@pytest.mark.parametrize("number", [1, 3, 5, 9])
+@pytest.mark.parametrize(
+    "number", [5, *(pytest.param(each, marks=pytest.mark.check) for each in (1, 3, 9))]
+)
 def test_of_a_truck_that_was_driven_the_vehicle_is_known_and_how_well(number: int) -> None:
     squares, off = [], []
     for seed in range(12):
@@ -239,7 +241,9 @@ def test_of_a_truck_that_was_driven_the_vehicle_is_known_and_how_well(number: in
     assert twist * SHAFTS.stiffness_nm_rad < 100.0
 
 
-@pytest.mark.parametrize("number", [1, 5, 9])
+@pytest.mark.parametrize(
+    "number", [5, *(pytest.param(each, marks=pytest.mark.check) for each in (1, 9))]
+)
 def test_what_shafts_and_tyres_carry_is_known_while_a_torque_is_taken_away(number: int) -> None:
     """After 0.9 s, between the two steps: the shafts swing by hundreds of Nm."""
     off = []

@@ -42,6 +42,7 @@ def rms(values: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.check
 def test_after_six_strokes_a_contact_is_known_but_for_the_valves_chance() -> None:
     errors = [learned(name, seed, 7)[1] for name in CYLINDERS for seed in SEEDS]
     assert rms([each[4] for each in errors]) < 2.0 * CHANCE_MS

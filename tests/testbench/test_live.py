@@ -63,6 +63,7 @@ def test_a_node_that_ends_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         asyncio.run(run_live(a_run(tmp_path)))
 
 
+@pytest.mark.check
 def test_a_run_that_failed_ends_with_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import pytest
 from rich.console import Console
@@ -33,7 +34,6 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.truck.as_built import draw_as_built
 from meshpoint.testbench.campaign import table as campaign_table
 from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.table import MOST_COLUMNS
 from meshpoint.testbench.campaign.verdict_words import against_table
 from meshpoint.testbench.captures import command as captures_command
 from meshpoint.testbench.check.command import findings_table
@@ -140,6 +140,14 @@ def campaign_values() -> dict[str, Any]:
     }
 
 
+def of_a_campaign(values: dict[str, Any]) -> list[Table]:
+    """The tables that are printed of it: strategies, parts, and the ratios last."""
+    out = create_autospec(Console, instance=True)
+    campaign_table.print_tables(out, values, GEARBOX)
+    printed = [each for call in out.print.call_args_list for each in call.args]
+    return [each for each in printed if isinstance(each, Table)]
+
+
 def envelope_values() -> dict[str, Any]:
     """Two rows as wide as they come, one of them against a commit."""
     row = {
@@ -191,15 +199,9 @@ TABLES: dict[str, Callable[[], Table]] = {
         compare({name: [ROW] * 1000 for name in STRATEGIES}), GEARBOX
     ),
     "envelope.table.on_screen": lambda: on_screen(envelope_values(), "title"),
-    "campaign.table._strategies": lambda: campaign_table._strategies(
-        campaign_values(), list(STRATEGIES)[:MOST_COLUMNS], GEARBOX
-    ),
-    "campaign.table._parts": lambda: campaign_table._parts(
-        campaign_values(), list(STRATEGIES)[:MOST_COLUMNS], GEARBOX
-    ),
-    "campaign.table._ratios": lambda: campaign_table._ratios(
-        campaign_values()["ratios"], STRATEGIES, GEARBOX
-    ),
+    "campaign.table._strategies": lambda: of_a_campaign(campaign_values())[0],
+    "campaign.table._parts": lambda: of_a_campaign(campaign_values())[-2],
+    "campaign.table._ratios": lambda: of_a_campaign(campaign_values())[-1],
     "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "open_loop.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
@@ -295,11 +297,11 @@ def test_a_ratio_names_both_strategies_each_on_lines_of_its_own() -> None:
     own = "examples/own_strategy.py:NextGap"
     keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
     ratio = {key: {"ratio": 1.0, "ci95": [0.9, 1.1]} for key in keys}
-    table = campaign_table._ratios(
-        {"target_phase/speed_window": ratio, f"{own}/target_phase": ratio},
-        ["speed_window", "target_phase", own],
-        GEARBOX,
-    )
+    values = campaign_values()
+    figures = values["strategies"]["target_phase"]
+    values["strategies"] = dict.fromkeys(["speed_window", "target_phase", own], figures)
+    values["ratios"] = {"target_phase/speed_window": ratio, f"{own}/target_phase": ratio}
+    table = of_a_campaign(values)[-1]
     assert list(table.columns[0].cells) == [
         "target_phase\n/ speed_window",
         "own_\nstrategy.py:\nNextGap\n/ target_phase",

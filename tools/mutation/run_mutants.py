@@ -1,6 +1,6 @@
 """Makes mutants of the product, one small mistake each, and says which of them no test catches.
 
-    python tests/mutation/run_mutants.py [TARGET ...]    all mutants of guard, e2e, link, valves
+    python tools/mutation/run_mutants.py [TARGET ...]    all mutants of guard, e2e, link, valves
     ... --changed [BASE]                                 those of lines that differ from BASE
     ... --resume                                         those of which nothing is known yet
     ... --again                                          those that no run before has killed
