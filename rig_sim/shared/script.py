@@ -3,8 +3,9 @@
     RELEASE   60 ms   the main sleeves go to neutral
     RAMP      300 ms  constant acceleration of layshaft and main shaft; splitter and range change
                       (or as long as is set)
-    ENGAGE            the layshaft keeps its speed, 20 rpm of slip, while the sleeve goes in by the
-                      contact rule; at full stroke and locked the bench says Ready
+    ENGAGE            the layshaft keeps its speed, 20 rpm of slip, less where gaps are small, while
+                      the sleeve goes in by the contact rule; at full stroke and locked the bench
+                      says Ready
 
 Speeds change smoothly and no angle jumps. While the script runs, valves do not move the sleeves.
 """
@@ -32,6 +33,8 @@ from meshpoint.units import RPM, SECOND_US
 
 RELEASE_S: Final = 0.060
 SLIP_RAD_S: Final = 20.0 * RPM
+LEAST_IN_GAP_S: Final = 0.0045
+"""A tooth that is before a gap for less time is passed by: the slip is no more than that allows."""
 
 
 class DrawsDelays(Protocol):
@@ -129,7 +132,8 @@ class BenchScript:
         if self._gear is None:
             return
         ratio = self._sheet.main_mesh(self._gear.main).ratio
-        target_rad_s = (self._main_rad_s + SLIP_RAD_S) / ratio
+        slip_rad_s = min(SLIP_RAD_S, self._sheet.dog.backlash_rad / LEAST_IN_GAP_S)
+        target_rad_s = (self._main_rad_s + slip_rad_s) / ratio
         plant.script_layshaft((target_rad_s - plant.layshaft_rad_s) / self.ramp_s)
         for sleeve, is_high in (
             (self.splitter, self._gear.split is Split.HIGH),

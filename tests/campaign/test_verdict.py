@@ -317,7 +317,7 @@ def test_a_commit_runs_its_own_product_with_its_own_settings_and_is_ended(
     out = tmp_path / "out"
     code = main([
         *COMMON, "--settings", "speed.toml", "--runs", "2", "--out", str(out),
-        "--against", "HEAD", "--json", str(tmp_path / "x.json"),
+        "--profile", "classic", "--against", "HEAD", "--json", str(tmp_path / "x.json"),
     ])  # fmt: skip
     assert code == Exit.NOT_DECIDED
     values = json.loads((tmp_path / "x.json").read_text())["against"]
@@ -327,6 +327,7 @@ def test_a_commit_runs_its_own_product_with_its_own_settings_and_is_ended(
     words = json.loads((out / "before" / "words.json").read_text())
     assert words[words.index("--strategy") + 1] == "speed_window"
     assert words[words.index("--judged") + 1] == "3"
+    assert words[words.index("--profile") + 1] == "classic"
     settings = Path(words[words.index("--settings") + 1])
     assert settings != repository / "speed.toml"
     assert not settings.exists()  # the exported files are gone

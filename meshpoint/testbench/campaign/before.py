@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 
+from meshpoint.bus.options import is_classic_profile
 from meshpoint.testbench.campaign.baseline import Baseline, FileBaseline
 from meshpoint.testbench.campaign.git_reference import (
     Commit,
@@ -84,6 +85,7 @@ def _command(
     values = {
         "runs": namespace.runs, "learn": namespace.learn, "judged": namespace.judged,
         "pairs": pairs, "rest": namespace.rest, "preset": namespace.preset, "seed": namespace.seed,
+        "profile": "classic" if is_classic_profile(namespace) else None,
         "estimator": namespace.estimator, "strategy": strategy, "jobs": jobs, "out": work, **files,
     }  # fmt: skip
     return ["campaign"] + [
