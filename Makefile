@@ -1,8 +1,8 @@
 # make demo   set up a virtual environment and run the demonstration
-# make test   the same, with the tools for testing, and run the tests that prove the product: cores, wire, rig,
-#             bus, recorded runs, closed loops, live nodes
-# make check  all other tests that CI runs; make long: those of many seconds; make devices: those that
-#             need what not every machine has
+# make test   the same, with the tools for testing, and run the tests that prove the product:
+#             cores, wire, rig, bus, recorded runs, closed loops, live nodes
+# make check  all other tests that CI runs; make long: those of many seconds; make devices: those
+#             that need what not every machine has
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -165,7 +165,7 @@ firmware-lint:
 test-containers:
 	tools/test-containers
 
-# Style, and the rules of tools/rules: words, names and links of documents, what sources may not do.
+# Style, and the rules of tools/rules: words, names and links of documents; what sources may not do.
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

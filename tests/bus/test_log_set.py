@@ -30,6 +30,7 @@ from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import FLUSH_EVERY_S, LogWriter
 from meshpoint.dbc.frame import Frame
 
+pytestmark = pytest.mark.check
 NODE = str(Path(__file__).with_name("logging_node.py"))
 EPOCH_S = 1_700_000_000.0
 FIELD_NAME = re.compile(r"candump-\d{4}-\d\d-\d\d_\d{6}\.log")

@@ -24,6 +24,7 @@ from meshpoint.dbc.messages import ETC1, EdgesMainRise, ShiftResult, ValveComman
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.source import DBC_PATH
 
+pytestmark = pytest.mark.check
 EPOCH_S = 1_700_000_000.0
 FD_FORMATS = [*FORMATS, ".mf4"]
 

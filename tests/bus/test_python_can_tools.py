@@ -19,6 +19,9 @@ installed = pytest.mark.skipif(
 )
 
 
+pytestmark = pytest.mark.check
+
+
 @installed
 def test_can_logger_records_the_local_bus(
     common_channel: str,

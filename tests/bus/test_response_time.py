@@ -15,6 +15,7 @@ from meshpoint.bus.simulated.frame_bits import BitTiming, WireFrame, frame_bits,
 from meshpoint.bus.simulated.response_time import Traffic, load, worst_response_ns
 from meshpoint.dbc.schema import SCHEMA
 
+pytestmark = pytest.mark.check
 TIMING = BitTiming()
 MS = 1_000_000
 SPECS = {spec.name: spec for spec in SCHEMA.messages}

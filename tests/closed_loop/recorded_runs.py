@@ -111,6 +111,11 @@ TRANSCRIBED: Final = ("clean_thesis", "typical_1", "faulted_node")
 
 LONG: Final = ("typical_2", "typical_3", "typical_on_and_on")
 """As `typical_1`, with other gears and more shifts: repeated by `make long`."""
+OF_CHECK: Final = (
+    "clean_up_and_down", "torsion", "harsh", "faulted_sensors", "faulted_valves", "restarted",
+    "thesis_filter", "window_speed", "loaded_bus",
+)  # fmt: skip
+"""Repeated by `make check`; those in neither tuple by `make test`."""
 RESTARTED: Final = "restarted"
 """Made twice: the second time the controller begins with what it had learned the first time. The
 second one is what is recorded."""

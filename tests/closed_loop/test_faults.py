@@ -198,6 +198,7 @@ def test_without_air_a_shift_is_not_begun() -> None:
     assert State.CLUTCH_OPENING not in loop.states
 
 
+@pytest.mark.check
 def test_a_faulted_box_goes_on_when_its_sensor_does() -> None:
     """Clutch open while nobody knows the gear; closed again, and a shift made, once it is known."""
     case = next(case for case in CASES if case.name == "the other position lies")

@@ -18,6 +18,7 @@ import pytest
 from recorded_runs import (
     DIGESTS,
     LONG,
+    OF_CHECK,
     RUNS,
     TRANSCRIBED,
     Run,
@@ -51,20 +52,24 @@ def where_they_part(now: Run, then: Run) -> str:
     return f"frames of {whose} differ from {first / 10} s of bus time on. {MEANT}"
 
 
+def marks_of(name: str) -> list[pytest.MarkDecorator]:
+    """By which command a run is repeated."""
+    return [pytest.mark.long] * (name in LONG) + [pytest.mark.check] * (name in OF_CHECK)
+
+
 @functools.cache
-def made_once_more(long: bool) -> dict[str, tuple[Run, str | None]]:
-    return repeated([name for name in RUNS if (name in LONG) is long])
+def made_once_more(*names: str) -> dict[str, tuple[Run, str | None]]:
+    return repeated(names)
 
 
 def again(name: str) -> tuple[Run, str | None]:
     if platform.machine() != "x86_64":
         pytest.skip(f"recorded on x86_64, this is {platform.machine()}: it may round otherwise")
-    return made_once_more(name in LONG)[name]
+    together = [each for each in RUNS if marks_of(each) == marks_of(name)]
+    return made_once_more(*together)[name]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in RUNS]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=marks_of(name)) for name in RUNS])
 def test_a_run_is_what_it_was(name: str) -> None:
     now, then = again(name)[0], RECORDED[name]
     assert now.events == then.events, MEANT

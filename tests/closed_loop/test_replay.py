@@ -85,7 +85,7 @@ def test_a_run_on_a_bad_bus_is_identical_too(tmp_path: Path) -> None:
         "ETC1",
     ],
 )
-@pytest.mark.parametrize("share", [0.1, 0.6])
+@pytest.mark.parametrize("share", [pytest.param(0.1, marks=pytest.mark.check), 0.6])
 def test_a_log_with_one_bit_changed_is_never_called_identical(
     name: str, share: float, log: list[Frame], one_shift: Loop, tmp_path: Path
 ) -> None:

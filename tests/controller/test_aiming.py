@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+import normal_law
 import numpy as np
 import pytest
-from scipy.stats import norm
 from test_strategy import (
     DELAY_US,
     EARLIEST_US,
@@ -42,7 +42,7 @@ def cost_of(predictor: GearPredictor, contact_us: float, variance: float) -> flo
     off = math.remainder(phase - centre, PITCH)
     sd = math.sqrt(variance + (slip * predictor.delay_sd_s) ** 2)
     low, high = (-HALF_GAP, HALF_GAP - moved) if moved > 0.0 else (-HALF_GAP - moved, HALF_GAP)
-    flanks = norm.cdf([low, high], centre + off, sd)
+    flanks = normal_law.cdf([low, high], centre + off, sd)
     hit = float(flanks[1] - flanks[0]) if high > low else 0.0
     may_block = min(1.0, PRICES.block_slip_rad_s / max(abs(slip), 1e-9))
     energy_j = 0.5 * SHEET.inertia_kgm2(Split.HIGH) * (slip / RATIO) ** 2

@@ -98,6 +98,7 @@ CALIBRATIONS = st.builds(
 )
 
 
+@pytest.mark.check
 @settings(max_examples=40, deadline=None)
 @given(CALIBRATIONS)
 def test_a_file_read_and_written_again_is_the_same_file(calibration: Calibration) -> None:

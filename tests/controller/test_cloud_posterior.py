@@ -5,10 +5,10 @@ and numpy alone; how a driveline moves is held against scipy in test_lash.py."""
 
 from __future__ import annotations
 
+import normal_law
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.stats import norm
 from test_lash import a_lash
 
 from meshpoint.controller.estimation.lash import Lash, LashStart
@@ -52,7 +52,7 @@ def test_one_look_corrects_and_weighs_each_driveline_as_the_textbook_has_it(
     reported = (TOOTH_RAD**2 + (speed * EDGE_TIME_S) ** 2) / edges
     sd = np.sqrt(p[0, 0] + reported)
     off = seen_rad - x[ANGLE]
-    likely = norm.pdf(off, scale=sd)
+    likely = normal_law.pdf(off, sd=sd)
     weights = likely / likely.sum()
     assert cloud.weights == pytest.approx(weights, rel=1e-3, abs=1e-9)
     angle_sd, speed_sd = np.sqrt(np.diag(p))[:2]

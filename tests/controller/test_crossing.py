@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from free_layshaft import Runs, World, drive, law_array
-from scipy.stats import binom, chi2
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.teeth import WheelTeeth
@@ -86,6 +85,8 @@ def error_over_claim(truth: np.ndarray, state: LayshaftState) -> tuple[np.ndarra
 
 def band(freedom: float, of: float) -> np.ndarray:
     """Where a chi-square sum of this many degrees lies 95 times of 100, over `of`."""
+    from scipy.stats import chi2  # a second: not where tests are collected
+
     return chi2.ppf([0.025, 0.975], freedom) / of
 
 
@@ -163,6 +164,8 @@ def test_predictions_are_as_far_off_as_was_said(filtered: dict, from_us: int) ->
     low, high = band(RUNS, RUNS)
     assert np.all((low < squares) & (squares < high)), squares
     inside = np.sum(np.abs(errors) < 1.96, axis=0)
+    from scipy.stats import binom
+
     least, most = binom.ppf([0.025, 0.975], RUNS, 0.95)
     assert np.all((least <= inside) & (inside <= most)), inside
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+import normal_law
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import norm
 
 from meshpoint.controller.phase.gap_posterior import MEASUREMENT_SHARES, GapPosterior
 from meshpoint.controller.phase.reference import PhaseReferences
@@ -147,8 +147,10 @@ def by_bayes(raw: np.ndarray, sd: float, flanks: tuple[int, ...]) -> tuple[float
     for phase, carried in zip(raw, flanks, strict=False):
         off = wrapped(phase - MIDDLES)
         upper = (0.5, 0.98, 0.02)[carried]
-        flank = upper * norm.pdf(off, half, sd) + (1.0 - upper) * norm.pdf(off, -half, sd)
-        amid = (norm.cdf(off + half, scale=sd) - norm.cdf(off - half, scale=sd)) / ROUND_BACKLASH
+        flank = upper * normal_law.pdf(off, half, sd) + (1.0 - upper) * normal_law.pdf(
+            off, -half, sd
+        )
+        amid = (normal_law.cdf(off, -half, sd) - normal_law.cdf(off, half, sd)) / ROUND_BACKLASH
         density = 0.98 * (0.6 * flank + 0.4 * amid) + 0.02 / ROUND_PITCH
         logs += (1.0 if carried else 0.25) * np.log(density)
     weight = np.exp(logs - logs.max())

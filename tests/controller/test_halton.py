@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
 
 from meshpoint.controller.estimation.halton import PRIMES, normal, scattered_twice
 
@@ -14,6 +13,8 @@ COUNT = 2500
 @pytest.mark.parametrize("row", range(len(PRIMES)))
 def test_numbers_of_both_kinds_are_of_the_normal_law(row: int) -> None:
     """Even ones lie closer to it than drawn ones, of which a half lie within 0.83 / sqrt(n)."""
+    from scipy.stats import kstest  # a second: not where tests are collected
+
     assert kstest(normal(COUNT)[row], "norm").statistic < 0.3 / np.sqrt(COUNT)
     assert kstest(scattered_twice(COUNT)[row, :COUNT], "norm").statistic < 1.36 / np.sqrt(COUNT)
 

@@ -221,9 +221,8 @@ def followed(drive: Drive, number: int) -> BehindState | None:
     return follow(drive, number).behind(drive.end_us)
 
 
-@pytest.mark.parametrize(
-    "number", [5, *(pytest.param(each, marks=pytest.mark.check) for each in (1, 3, 9))]
-)
+@pytest.mark.check
+@pytest.mark.parametrize("number", [1, 3, 5, 9])
 def test_of_a_truck_that_was_driven_the_vehicle_is_known_and_how_well(number: int) -> None:
     squares, off = [], []
     for seed in range(12):

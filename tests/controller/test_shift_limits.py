@@ -143,6 +143,7 @@ def test_a_sleeve_is_fired_no_more_than_its_attempts(attempts: int) -> None:
     assert record.result is ShiftResult.ENDED_IN_NEUTRAL
 
 
+@pytest.mark.check
 @settings(max_examples=40)
 @given(
     gear=st.sampled_from(sorted(DRIVE_GEARS)),

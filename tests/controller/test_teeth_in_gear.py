@@ -106,6 +106,7 @@ def test_a_stretch_with_edges_missing_teaches_nothing() -> None:
     assert teeth.edges_seen == 0
 
 
+@pytest.mark.check
 def test_teeth_are_known_after_the_first_shifts_of_a_gearbox_with_a_sensor_of_20_us() -> None:
     """This gearbox's wheels were never learned from its windows in neutral: a jitter twice as large
     as was thought made each measurement like a motion that the model does not have."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cantools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from read_dbc import database
 
 from meshpoint.dbc.classic.codecs import (
     CLASSIC_CODECS,
@@ -23,7 +23,7 @@ from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.specs import MessageSpec
 
 OWN = [spec for spec in CLASSIC_SCHEMA.messages if spec.is_protected]
-DATABASE = cantools.database.load_file(CLASSIC_DBC)
+DATABASE = database(CLASSIC_DBC)
 
 
 def raw_values(spec: MessageSpec) -> st.SearchStrategy[dict[str, int]]:

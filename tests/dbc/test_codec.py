@@ -4,7 +4,6 @@ import math
 import re
 from typing import Any
 
-import cantools.database
 import pytest
 from cantools.database.can import Database
 from cantools.database.can import Message as Parsed
@@ -12,6 +11,7 @@ from cantools.database.can import Signal as ParsedSignal
 from e2e.p05 import e2e_p05_protect
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from read_dbc import database
 
 from meshpoint.dbc import DBC_PATH, Frame, Node
 from meshpoint.dbc.link import EncodeError, FrameVerdict, Receiver, Transmitter
@@ -26,7 +26,7 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 
-_DATABASE = cantools.database.load_file(DBC_PATH)
+_DATABASE = database(DBC_PATH)
 assert isinstance(_DATABASE, Database)
 MESSAGES: list[Parsed] = _DATABASE.messages
 HEADER = {"Crc", "Counter"}

@@ -22,6 +22,7 @@ from meshpoint.dbc.source import DBC_PATH
 from meshpoint.dbc.specs import MessageSpec
 from meshpoint.dbc.truck import TRUCK_DBC, TRUCK_SCHEMA
 
+pytestmark = pytest.mark.check
 ANY_SOURCE = 0x03FFFF00
 """Of an identifier, parameter group and destination."""
 STANDARD = [message for message in SCHEMA.messages if not message.is_protected]

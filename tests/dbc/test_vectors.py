@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import cantools.database
 import pytest
 from e2e import p05
+from read_dbc import database
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -12,7 +12,7 @@ from meshpoint.dbc.source import DBC_PATH
 from meshpoint.testbench.help.vectors import encoded
 
 VECTORS = encoded()
-DATABASE = cantools.database.load_file(DBC_PATH)
+DATABASE = database(DBC_PATH)
 
 
 @pytest.mark.parametrize(("name", "words", "frame"), VECTORS)

@@ -258,6 +258,7 @@ def test_a_detent_pulls_back_what_friction_does_not_hold() -> None:
     assert far.position_m == 2.5e-3
 
 
+@pytest.mark.check
 def test_less_air_more_mass_friction_and_detent_make_it_slower() -> None:
     usual_s = stroke_s(cylinder(), FACE_M)
     for name, factor in (("supply_pa", 0.7), ("mass_kg", 1.5), ("sliding_n", 1.3)):

@@ -236,6 +236,7 @@ def test_load_moves_the_edges_of_a_wheel_once_a_turn() -> None:
     assert np.delete(spectrum, 1).max() < 1e-9
 
 
+@pytest.mark.check
 def test_the_layshafts_residual_drag_is_near_that_of_the_thesis() -> None:
     """About 7 Nm at 1,400 rpm and 80 degC."""
     for profile, most in ((Profile.TYPICAL, 9.0), (Profile.HARSH, 14.0)):

@@ -10,9 +10,9 @@ from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import cantools
 import numpy as np
 import pytest
+from read_dbc import database
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939_view import J1939_DBC
@@ -28,7 +28,7 @@ from meshpoint.rig_sim.truck_nodes import brakes, output_shaft
 from meshpoint.rig_sim.truck_nodes.nodes import DELAY_US
 from meshpoint.units import RPM
 
-DBC = cantools.database.load_file(J1939_DBC, frame_id_mask=0x03FFFF00)
+DBC = database(J1939_DBC, 0x03FFFF00)
 IDS = {spec.can_id: spec for spec in TRUCK_SCHEMA.messages}
 KMH = 3.6
 EVEN = {"vehicle.constant_speed": 1.0}

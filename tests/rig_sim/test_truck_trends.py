@@ -87,6 +87,7 @@ def strokes_ms(seed: int, **fixed: float) -> list[float]:
     return found
 
 
+@pytest.mark.check
 def test_delays_of_all_gears_are_45_ms_within_5() -> None:
     ms = np.array([stroke for seed in range(20) for stroke in strokes_ms(seed)])
     assert ms.min() > 39.5  # 2 ms of the gear's, 3 of chance, and the tank's own pressure
