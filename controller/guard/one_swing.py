@@ -24,7 +24,7 @@ from meshpoint.units import TURN
 SPAN_US: Final = 85_000
 """The newest speeds are those of so long: about a period of the slowest swings that are wide."""
 LEAST_SPEEDS: Final = 8
-"""From fewer no frequency is told."""
+"""Fewer show no frequency."""
 SWINGS_RAD_S: Final = 2.0
 """Speeds that differ by less (19 rpm) show no swing that is worth a bound of its own."""
 ERROR_RAD_S: Final = 0.4
@@ -36,13 +36,13 @@ MEASURED_OVER_S: Final = 0.02
 """A speed is the mean over so much at most (`own_speed.MEASURED_US` and a tooth): a swing is wider
 than the speeds show."""
 FREQUENCIES: Final = tuple(TURN * (5.0 + 0.5 * k) for k in range(41))
-"""rad/s: 5 to 25 Hz. Slower than the first a swing is as fast as it has been for as long as it is
-asked for; of faster ones a cycle has too few speeds."""
-DECAYS: Final = (0.0, 4.0, 9.0, 15.0)
-"""1/s: from a swing that does not die away to one that is half as wide after 50 ms."""
+"""Swings of 5 to 25 Hz are tried (rad/s). Slower than the first a swing is as fast as it has been
+for as long as it is asked for; of faster ones a cycle has too few speeds."""
+DECAYS: Final = (0.0, 4.0, 9.0, 14.0)
+"""Swings are tried from one that does not die away to one that is half as wide after 50 ms, 1/s."""
 NEAR: Final = 1.5
-"""Swings bound the shaft that are so many times further from the speeds than these may be wrong by,
-too: between two that are tried lie nearer ones."""
+"""Swings bound the shaft, too, whose distance from the speeds is this multiple of what these may be
+wrong by: between two that are tried lie nearer ones."""
 PARTS: Final = 5
 """The bound is looked for at this many times."""
 
