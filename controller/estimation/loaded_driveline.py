@@ -269,6 +269,12 @@ class LoadedDriveline:
         loaded_ahead(x, p, ahead_s, self._model)
         return (x, p) if np.isfinite(x).all() and np.isfinite(p).all() else None
 
+    @property
+    def is_early(self) -> bool:
+        """Whether it follows a gear, and has not for long enough yet to say anything."""
+        newest_us = float(self._followed.part("time_us")[0])
+        return self._running and (newest_us - self._began_us) * US < LEAST_S
+
     def twist(self, time_us: float) -> Twist | None:
         """The driveline on its flank, for a plan of the engine's torque; None where the gear was
         not followed for long enough, or the clutch carries nothing."""

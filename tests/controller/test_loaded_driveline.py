@@ -283,6 +283,17 @@ def test_nothing_is_said_of_a_gear_that_was_hardly_seen() -> None:
     assert followed(short._replace(end_us=float(short.steps[-1][0][0, -1])), 5) is None
 
 
+def test_a_gear_that_was_not_followed_for_long_enough_says_so() -> None:
+    """Neither one that is not followed at all, nor one that is well known."""
+    assert not LoadedDriveline(SHEET).is_early
+    few = driven(5, 0)
+    short = follow(few._replace(steps=few.steps[: round(LEAST_S / 0.01)]), 5)
+    assert short.is_early
+    assert not follow(few, 5).is_early
+    short.lose()
+    assert not short.is_early
+
+
 def test_nothing_is_said_long_after_the_newest_edge_nor_of_a_time_before_it() -> None:
     drive = driven(5, 0)
     assert followed(drive._replace(end_us=drive.end_us + 150e3), 5) is None
