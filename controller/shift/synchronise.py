@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.strategies.base import EngagementStrategy
-from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.strategies.base import EngagementStrategy
+from meshpoint.controller.plan.strategist import Plan
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN

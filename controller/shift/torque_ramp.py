@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.motion.twist import Twist
+from meshpoint.controller.models.twist import Twist
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.unloading import unload

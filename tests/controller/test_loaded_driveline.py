@@ -12,14 +12,14 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
 
-from meshpoint.controller.estimation.loaded_driveline import (
+from meshpoint.controller.estimate.loaded_driveline import (
     LEAST_S,
     BehindState,
     Load,
     LoadedDriveline,
     Shafts,
 )
-from meshpoint.controller.estimation.loaded_kernels import (
+from meshpoint.controller.estimate.loaded_kernels import (
     GEAR_SPEED,
     HILL,
     LOADED_MODEL,
@@ -33,8 +33,8 @@ from meshpoint.controller.estimation.loaded_kernels import (
     beyond_flanks,
     loaded_ahead,
 )
-from meshpoint.controller.motion.twist import CREEP as TWIST_CREEP
-from meshpoint.controller.motion.twist import TYRE as TWIST_TYRE
+from meshpoint.controller.models.twist import CREEP as TWIST_CREEP
+from meshpoint.controller.models.twist import TYRE as TWIST_TYRE
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.kernels.records import Vector, filled

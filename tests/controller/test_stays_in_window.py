@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from shift_box import SHEET, aimed
 
-from meshpoint.controller.planning.strategist import Plan
+from meshpoint.controller.plan.strategist import Plan
 from meshpoint.controller.shift.synchronise import _stays_in_window
 from meshpoint.dbc.messages import ShiftDecision
 from meshpoint.units import RPM, TURN

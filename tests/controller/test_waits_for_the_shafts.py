@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from shift_box import TICK_US, Box, aimed
 
-from meshpoint.controller.settings import ControllerSettings, EngineRequests
+from meshpoint.controller.settings.settings import ControllerSettings, EngineRequests
 from meshpoint.controller.shift.torque_ramp import KNOWN_MS
 
 FOR_EVER = 10_000_000

@@ -145,7 +145,7 @@ def test_as_many_kernels_are_counted_as_there_are() -> None:
     script = """
 import gc
 from meshpoint.kernels.cache import KernelCache
-import meshpoint.controller.warm_up, meshpoint.rig_sim.presets
+import meshpoint.controller.run.warm_up, meshpoint.rig_sim.presets
 print(sum(isinstance(each, KernelCache) for each in gc.get_objects()))
 """
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
