@@ -64,7 +64,7 @@ TRACE_US: Final = 5_000
 LONGEST_US: Final = 700_000
 """From the parting; a model is trusted no further."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
-"""Of a reference learned in mesh, as `controller.phase.reference_recovery` has it."""
+"""Of a reference learned in mesh, as `controller.estimate.phase.reference_recovery` has it."""
 GAIN_SD: Final = 0.01
 """Of the brake's gain between two moments of a shift, beside what the filter claims: discs warm."""
 MOST_SD_SHARE: Final = 0.125
