@@ -68,9 +68,9 @@ def sample_points() -> Iterator[str]:
             if re.findall(rf"{point} ([\d.]+)", line) != ["0.8"]:
                 yield f"{PAGE}: another sample point than 0.8: {line}"
     (words,) = re.findall(r"`-i pcan (-c [^`]+)`", TEXT)
-    namespace = build_parser("rig").parse_args(["rig", "-i", "pcan", *words.split()])
-    with contextlib.redirect_stdout(io.StringIO()):
-        timing = bus_config(namespace)["timing"]
+    with contextlib.redirect_stdout(io.StringIO()):  # python-can prints a timing that it takes
+        namespace = build_parser("rig").parse_args(["rig", "-i", "pcan", *words.split()])
+    timing = bus_config(namespace)["timing"]
     if not isinstance(timing, can.BitTimingFd) or (
         timing.nom_bitrate, timing.data_bitrate, timing.nom_sample_point, timing.data_sample_point
     ) != (500_000, 2_000_000, 80.0, 80.0):  # fmt: skip
