@@ -92,6 +92,7 @@ def test_a_row_has_every_column(made: Path) -> None:
     assert found["gap"]["rate"] in (0.0, 1.0)
     assert found["true_state"] in (0.0, 1.0)
     assert found["after_ramp_ms"]["mean"] == found["after_ramp_ms"]["p99"] > 100.0
+    assert found["duration_ms"] >= found["after_ramp_ms"]["mean"], "from the request on"
     assert values["conditions"]["seeds"] == [900]
     page = (made / "page.md").read_text()
     assert "Simulated:" in page
