@@ -21,7 +21,7 @@ import meshpoint
 from meshpoint.api.bench import rig_settings
 from meshpoint.api.choices import setup_of
 from meshpoint.bus.core import AroundCore, Step
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, MainGear
 from meshpoint.kernels.records import Integers, Vector

@@ -26,9 +26,9 @@ from unittest import mock
 import numpy as np
 
 from meshpoint import Bench, ShiftRow
-from meshpoint.controller.planning.strategies.target_phase import TargetPhase
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
+from meshpoint.controller.plan.strategies.target_phase import TargetPhase
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.dbc.messages import BenchFault, ControllerState, RigFault
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import RPM

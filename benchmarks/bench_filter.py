@@ -24,11 +24,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.signal import cont2discrete
 
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, thesis_filter
-from meshpoint.controller.motion.models import diagonal, first_order_law, free_motion
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.models.linear import layshaft_model
+from meshpoint.controller.models.linear_kernels import THESIS_FILTER, thesis_filter
+from meshpoint.controller.models.models import diagonal, first_order_law, free_motion
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US

@@ -22,7 +22,7 @@ from zlib import crc32
 
 import numpy as np
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile

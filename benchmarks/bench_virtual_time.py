@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile

@@ -22,8 +22,8 @@ from typing import Any, Final, NamedTuple
 
 from benchmarks.shifts import make_shifts
 from meshpoint.bus.core import AroundCore, Step
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import ControllerState
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile

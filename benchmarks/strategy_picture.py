@@ -17,8 +17,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.settings import ControllerSettings, Window
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.settings import ControllerSettings, Window
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone

@@ -3,7 +3,8 @@
 Preset truck, data sheet truck12, draws of their own (campaign seed 100, which no campaign is judged
 on). Each run learns once; every candidate then makes the same shifts on a copy, so candidates are
 compared on the same draws. Coordinate by coordinate through the values below until nothing is
-better; a shift that gives up costs `GIVEN_UP_MS`. What was found is in `controller/settings.py`.
+better; a shift that gives up costs `GIVEN_UP_MS`. What was found is in
+`controller/settings/settings.py`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.controller.settings import ControllerSettings, Window
+from meshpoint.controller.settings.settings import ControllerSettings, Window
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts

@@ -25,7 +25,7 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.controller.settings import ControllerSettings, ThesisFilterTuning
+from meshpoint.controller.settings.settings import ControllerSettings, ThesisFilterTuning
 from meshpoint.gearbox.tables import count, group, quantity
 from meshpoint.units import DEG, RPM
 

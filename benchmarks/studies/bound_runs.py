@@ -27,26 +27,26 @@ from benchmarks.studies.bound_scene import (
     draw_run,
     draw_wheel,
 )
-from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
-from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
-from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
-from meshpoint.controller.estimation.figure import Estimate
-from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
-from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.estimation.touch_and_lag import uncorrelated
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear import layshaft_model, predict_linear
-from meshpoint.controller.motion.models import (
+from meshpoint.controller.estimate.baseline_tracker import BaselineTracker
+from meshpoint.controller.estimate.brake_model import BrakeModel
+from meshpoint.controller.estimate.crossing_filter import NO_PRESSURES
+from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
+from meshpoint.controller.estimate.figure import Estimate
+from meshpoint.controller.estimate.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.estimate.teeth import WheelTeeth
+from meshpoint.controller.estimate.touch_and_lag import uncorrelated
+from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.linear import layshaft_model, predict_linear
+from meshpoint.controller.models.models import (
     LayshaftState,
     diagonal,
     following_motion,
     free_motion,
     predict,
 )
-from meshpoint.controller.sensing.pressure_samples import PressureSamples
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.sheet import Wheel as SheetWheel
@@ -276,7 +276,7 @@ class _Bench:
 def batch_of(
     scene: Scene, run: SceneRun, from_us: float, to_us: float, offset_us: float
 ) -> EdgeBatch:
-    """The edges of a time, as `meshpoint.controller.sensing.wheel_edges` gives them."""
+    """The edges of a time, as `meshpoint.controller.measure.wheel_edges` gives them."""
     inside = (run.edge_us > from_us) & (run.edge_us <= to_us)
     number = run.edge[inside]
     theta: Vector = np.pi / scene.teeth * number.astype(np.float64)

@@ -7,8 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.learned import Calibration
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS, Range, Split
 from meshpoint.rig_sim.settings import Preset, Profile

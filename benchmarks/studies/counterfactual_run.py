@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, Profile

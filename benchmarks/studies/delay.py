@@ -21,7 +21,7 @@ from benchmarks.studies.record import (
     ThesisVerdict,
     rms,
 )
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset

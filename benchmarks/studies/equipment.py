@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from benchmarks.studies.equipment_truth import ParkedSleeve, Parking, WheelRings, WheelRingTeeth
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.estimation.main_tracker import MainTracker
-from meshpoint.controller.motion.lash_motion import WHEELS
-from meshpoint.controller.motion.lash_trajectory import LashTrajectory
-from meshpoint.controller.observer import Observer
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.estimate.main_tracker import MainTracker
+from meshpoint.controller.estimate.observer import Observer
+from meshpoint.controller.models.lash_motion import WHEELS
+from meshpoint.controller.models.lash_trajectory import LashTrajectory
+from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.dbc.messages import ControllerState
 from meshpoint.gearbox import GearboxSheet, MainGear

@@ -40,7 +40,7 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.controller.settings import ESTIMATOR_NAMES
+from meshpoint.controller.settings.settings import ESTIMATOR_NAMES
 from meshpoint.kernels.records import Vector
 from meshpoint.testbench.results.estimation import Sample
 from meshpoint.units import DEG, RPM

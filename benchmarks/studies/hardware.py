@@ -32,7 +32,7 @@ from benchmarks.studies.record import (
     ThesisVerdict,
     rms,
 )
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import count, group, quantity
 from meshpoint.kernels.records import Vector

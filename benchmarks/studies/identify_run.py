@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.gearbox.sheet import Wheel

@@ -27,7 +27,7 @@ from benchmarks.studies.record import (
     ThesisVerdict,
 )
 from benchmarks.studies.teeth import Engagements, Tried
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.units import RPM

@@ -16,8 +16,8 @@ from benchmarks.studies.record import (
     Study,
     ThesisVerdict,
 )
-from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import propagate
+from meshpoint.controller.models.linear import layshaft_model
+from meshpoint.controller.models.linear_kernels import propagate
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 

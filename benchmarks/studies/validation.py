@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from benchmarks.studies.record import Given
-from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import propagate
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.models.linear import layshaft_model
+from meshpoint.controller.models.linear_kernels import propagate
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, ControllerState, RigFault
 from meshpoint.rig_sim.orders import FaultOrder
 

@@ -17,7 +17,7 @@ from benchmarks.swarm.invariants import Broken, Invariants
 from benchmarks.swarm.nodes import WatchedController, WatchedRig
 from benchmarks.swarm.wires import BusFault, Stranger, Trouble, Wire
 from meshpoint.bus.core import Step
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter

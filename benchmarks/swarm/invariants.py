@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from benchmarks.swarm.nodes import WatchedController, WatchedRig
 from meshpoint.controller.guard.own_clock import signed_us
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.table import IN_SHIFT
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.shared.engagement import Violation

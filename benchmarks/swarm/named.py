@@ -22,7 +22,7 @@ from benchmarks.swarm.events import (
     World,
 )
 from benchmarks.swarm.invariants import Broken
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import ControllerState, RigFault
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.truck.faults import KINDS

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 from benchmarks.swarm.deeds import Deed, Wish
 from meshpoint.bus.core import Step
-from meshpoint.controller.core import POSITIONS, ControllerCore
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.core.core import POSITIONS, ControllerCore
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import EEC1, TC1, ControllerState, ValveStatus

@@ -19,7 +19,7 @@ from benchmarks.swarm.events import World, save_world
 from benchmarks.swarm.invariants import Broken
 from benchmarks.swarm.shrink import shrink
 from meshpoint.bus.settle import settle
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.reading import read_text

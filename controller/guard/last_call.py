@@ -22,9 +22,9 @@ def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
     layshaft, main = case.seen.swings
     if layshaft is None or main is None:
         return True
-    _, late_us = case.contact_us(valve, span)
+    early_us, late_us = case.contact_us(valve, span)
     # The main shaft goes on swinging as it has.
-    main_least, main_most = main.between(late_us)
+    main_least, main_most = main.between(early_us, late_us)
     most = least = layshaft.newest.omega_rad_s
     if not last:
         # The newest speed is some hundredths of a second old: the layshaft has fallen on until now.

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from meshpoint.controller.settings import ControllerSettings, ValveTiming
+from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
 

@@ -2,7 +2,8 @@
 
 In neutral the main shaft hangs on the driveline alone and swings with it, to and fro through the
 backlash of the final drive: within the time from a firing to its contact by more than the slip
-window is wide. What it may do next is bounded by what it has done within one period.
+window is wide. What it may do next is bounded by what it has done within one period; where that
+was a swing of one frequency, by that swing (`one_swing`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final, NamedTuple
 
+from meshpoint.controller.guard import one_swing
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 
 PERIOD_US: Final = 180_000
@@ -33,10 +35,15 @@ class Swing(NamedTuple):
     falls_rad_s2: float
     """The fastest fall, negative; 0 where there was none."""
     rises_rad_s2: float
+    speeds: tuple[ShaftSpeed, ...] = ()
+    """Those of a period, the newest last."""
 
-    def between(self, until_us: float) -> tuple[float, float]:
-        """Least and greatest speed (rad/s) until a time: as fast as it has changed within a period,
-        as far as it has been."""
+    def between(self, from_us: float, until_us: float) -> tuple[float, float]:
+        """Least and greatest speed (rad/s) between two times: as it swings; or else, from now on,
+        as fast as it has changed within a period, as far as it has been."""
+        swings = one_swing.between(self.speeds, from_us, until_us)
+        if swings is not None:
+            return swings
         ahead_s = max(0.0, until_us - self.newest.time_us) * 1e-6
         now = self.newest.omega_rad_s
         least = max(self.least_rad_s, now + self.falls_rad_s2 * ahead_s)
@@ -75,7 +82,13 @@ class SwingMemory:
         omegas = [each.omega_rad_s for each in speeds]
         per_s2 = [rate for _, rate in rates]
         return Swing(
-            speeds[-1], per_s2[-1], min(omegas), max(omegas), min(0.0, *per_s2), max(0.0, *per_s2)
+            speeds[-1],
+            per_s2[-1],
+            min(omegas),
+            max(omegas),
+            min(0.0, *per_s2),
+            max(0.0, *per_s2),
+            tuple(speeds),
         )
 
     def _add_rate(self) -> None:

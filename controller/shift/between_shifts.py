@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.shift.context import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
 from meshpoint.controller.shift.step_snapshot import MISSING, StepSnapshot
 from meshpoint.controller.shift.table import Trigger

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import plan_release
 from meshpoint.controller.shift.to_neutral import CLEAR_M, RESTS_US
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.units import SECOND_US
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import US
 

@@ -8,12 +8,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.strategist import Plan, Strategist
-from meshpoint.controller.settings import MS_IN_US, ControllerSettings
+from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US
+from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.strategist import Plan, Strategist
+from meshpoint.controller.settings.settings import MS_IN_US, ControllerSettings
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
@@ -21,7 +22,6 @@ from meshpoint.controller.shift.torque_fall import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.answers import Stroke
 from meshpoint.controller.sleeve.sleeves import Sleeves
-from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear

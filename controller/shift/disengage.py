@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import OPPOSITE
 from meshpoint.controller.shift.brake_ahead import brake_ahead
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.speed_up import raise_ahead
@@ -18,7 +19,6 @@ from meshpoint.controller.shift.to_neutral import (
     stand,
 )
 from meshpoint.controller.shift.torque_ramp import ramp_down
-from meshpoint.controller.valve_name import OPPOSITE
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 

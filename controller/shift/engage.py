@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import ENTERED_M
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.measure.gearbox_view import ENTERED_M
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, ShiftContext
 from meshpoint.controller.shift.halt import abort, better_halted
 from meshpoint.controller.shift.in_mesh import in_mesh
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.to_neutral import bring_to_neutral
-from meshpoint.controller.valve_name import SLEEVE_VALVE
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN

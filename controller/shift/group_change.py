@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear, Range, Split
 

@@ -7,8 +7,9 @@ stands if that brings a good gap soon enough, and else goes back to neutral (`en
 
 from __future__ import annotations
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.in_mesh import in_mesh
@@ -17,7 +18,6 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.sleeve.answers import Halt
-from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
 

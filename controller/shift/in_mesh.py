@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import ENGAGED_SHORT_M
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.measure.gearbox_view import ENGAGED_SHORT_M
+from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.shift.context import FALL_US, ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger

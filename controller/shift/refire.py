@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.units import SECOND_US

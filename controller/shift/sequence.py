@@ -12,7 +12,8 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.controller.shift.between_shifts import (
     close_clutch,
     find_gear,
@@ -36,7 +37,6 @@ from meshpoint.controller.shift.table import (
     Trigger,
 )
 from meshpoint.controller.shift.to_neutral import has_left_neutral
-from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear

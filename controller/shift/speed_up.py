@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import (
     FALL_US as SEEN_LATE_US,
 )
@@ -19,7 +20,6 @@ from meshpoint.controller.shift.context import (
 )
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.units import US
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.estimation.layshaft import LayshaftTracker
-from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline
-from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.planning.strategies.base import BUS_US
-from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.valve_name import Driven
+from meshpoint.controller.estimate.layshaft import LayshaftTracker
+from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.settings.valve_name import Driven
 from meshpoint.dbc.messages import FaultCode
 
 MISSING: Final = (FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.strategies.base import EngagementStrategy
-from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.strategies.base import EngagementStrategy
+from meshpoint.controller.plan.strategist import Plan
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN
@@ -25,6 +25,8 @@ come out slightly too early to be sent, and the sleeve would have to wait for th
 next step comes soon enough after it to call the sleeve back (`engage`)."""
 WITHDRAW_US: Final = 4 * MS_IN_US
 """A firing nearer than this is not withdrawn: its valve could have opened before."""
+CONTACT_SHARES: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Contacts earlier and later than planned, in shares of what the data sheet says of the delay."""
 RELEASE_HORIZON_US: Final = 90 * MS_IN_US
 """A release further ahead than this is not sent yet: the valve side accepts at most 100 ms."""
 
@@ -183,13 +185,18 @@ def _acting(context: ShiftContext, gear: MainGear) -> EngagementStrategy:
 
 
 def _stays_in_window(context: ShiftContext, predictor: GearPredictor, plan: Plan) -> bool:
-    """Whether the guard will let the sleeve go on to its gear: its slip is inside the guard's
-    window already as it is fired, for the layshaft may fall no more, and still is at the latest
-    contact of a gearbox within its data sheet."""
-    window = context.settings.guard
-    latest_us = plan.contact_us + context.sheet.sleeve.delay_limit_s * SECOND_US
-    fired, met = predictor.slip_rad_s(plan.fire_us), predictor.slip_rad_s(latest_us)
-    return window.slip_low_rad_s <= met and fired <= window.slip_high_rad_s
+    """Whether the guard will let the sleeve go on to its gear: at each contact of a gearbox within
+    its data sheet the slip is inside the guard's window, however the main shaft swings, and also if
+    the layshaft falls no more once the sleeve is fired."""
+    window, spread_us = context.settings.guard, context.sheet.sleeve.delay_limit_s * SECOND_US
+    fired = predictor.steady_slip_rad_s(plan.fire_us)
+    for share in CONTACT_SHARES:
+        contact_us = plan.contact_us + share * spread_us
+        met = predictor.slip_rad_s(contact_us)
+        fallen = fired - predictor.steady_slip_rad_s(contact_us)
+        if met < window.slip_low_rad_s or met + fallen > window.slip_high_rad_s:
+            return False
+    return True
 
 
 def plan_firing(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum, auto
 from typing import Final
 
-from meshpoint.controller.planning.strategist import Plan
+from meshpoint.controller.plan.strategist import Plan
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
 from meshpoint.gearbox import DriveGear, Range, Split

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
-from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.settings.settings import MS_IN_US
+from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.sleeve.answers import Pulse
-from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, Sleeve
 
 CLEAR_M: Final = 1.0e-3

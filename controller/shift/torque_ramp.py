@@ -13,12 +13,15 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.motion.twist import Twist
+from meshpoint.controller.models.twist import Twist
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.unloading import unload
 from meshpoint.units import SECOND_US, US
 
+KNOWN_MS: Final = 400
+"""What the shafts carry is waited for no longer: a gear is followed for `LEAST_S` before the
+controller says it, and teeth may be lost meanwhile."""
 BESIDE_SHARE: Final = 0.005
 """The guard allows for a step of the torque, a per cent, and rounding; half of a step is taken by
 `owed_share`."""
@@ -30,6 +33,8 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     limits = context.settings.engine
     if limits.ramp_ms == 0 or not context.engine_carries(snapshot):
         return True
+    if _is_soon_known(context, snapshot):
+        return False
     clutch = context.sheet.clutch
     parting_s = clutch.open_delay_s * (1.0 - clutch.kiss_share)
     left = context.torque.left_in(parting_s)
@@ -44,6 +49,16 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     if abs(left) <= limits.torque_left_share:
         return True
     return context.late(snapshot, limits.ramp_ms)
+
+
+def _is_soon_known(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether what the shafts of a driveline that rings carry will be known in a moment. Soon after
+    a gear was engaged they swing the most, also where the engine gives no torque."""
+    shift, limits, loaded = context.running, context.settings.engine, snapshot.loaded
+    is_planned = context.rings.twists and limits.swing_ramp_ms > 0 and shift.own_nm is None
+    if not is_planned or loaded is None or shift.clutch_us is not None:
+        return False
+    return loaded.is_early and not context.late(snapshot, KNOWN_MS)
 
 
 def _unload(

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.motion.twist import Twist
+from meshpoint.controller.models.twist import Twist
 from meshpoint.kernels.jit import compiled
 from meshpoint.kernels.records import Vector
 

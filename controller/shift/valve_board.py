@@ -9,10 +9,10 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import Final, NamedTuple
 
-from meshpoint.controller.planning.strategies.base import BUS_US
-from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.settings.settings import ValveTiming
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.controller.sleeve.sleeves import Sleeves
-from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.sensor_time import wrap
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from meshpoint.controller.estimation.figure import Estimate
+from meshpoint.controller.estimate.figure import Estimate
 from meshpoint.controller.sleeve.cylinder import OFF, ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.motion import Switch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.calibration.learned import SleeveLawRecord
+from meshpoint.controller.settings.learned import SleeveLawRecord
 from meshpoint.controller.sleeve.cylinder import (
     DAMPING,
     DEAD,

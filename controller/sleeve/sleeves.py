@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.calibration.learned import (
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.settings.learned import (
     SleeveLawRecord,
     SleeveLawRecords,
     SleeveRecord,
     SleeveRecords,
 )
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
 from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.cylinder import ON
@@ -37,7 +38,6 @@ from meshpoint.controller.sleeve.to_rest import (
     rests_at_m,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
-from meshpoint.controller.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
 from meshpoint.units import SECOND_US, US

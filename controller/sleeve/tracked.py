@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.sensing.gearbox_view import SAMPLE_US, SleeveTrack
+from meshpoint.controller.measure.gearbox_view import SAMPLE_US, SleeveTrack
 from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_TIME
 from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.fit import fit

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 from typing import Final
 
+from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.controller.xcp.measured import LEARNED, MEASURED_BYTES, MeasuredMemory
 from meshpoint.controller.xcp.parameters import PAGE_BYTES, PARAMETERS, CalibrationPages
 from meshpoint.controller.xcp.protocol import RefusedError, XcpError
-from meshpoint.controller.xcp_access import XcpAccess
 from meshpoint.dbc.source import DBC_SHA256
 
 IDENTITY_ADDRESS: Final = 0x1000_0000

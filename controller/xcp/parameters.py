@@ -13,7 +13,7 @@ from enum import IntEnum
 from functools import cached_property
 from typing import Any, Final
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.xcp.protocol import RefusedError, XcpError
 from meshpoint.gearbox.tables import Rule, TableError
 

@@ -8,9 +8,9 @@ from meshpoint.api.runs import Campaign, Replay, Simulation, campaign, replay, s
 from meshpoint.api.watching import ShiftError
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.logs.reader import LogError
-from meshpoint.controller.planning.strategies.base import EngagementStrategy, ReleasePlan
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.strategy_file import StrategyError
+from meshpoint.controller.plan.strategies.base import EngagementStrategy, ReleasePlan
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.dbc import messages
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter

@@ -12,9 +12,9 @@ from meshpoint.bus.core import Core, Step
 from meshpoint.bus.logs.files import RotatingLog, open_log
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.settle import settle
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore

@@ -8,10 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from meshpoint.controller.planning.strategies.own import read_strategy
-from meshpoint.controller.settings import ESTIMATOR_NAMES, STRATEGY_NAMES, ControllerSettings
-from meshpoint.controller.settings import load_settings as read_settings
-from meshpoint.controller.strategy_file import FORM, is_file_name
+from meshpoint.controller.plan.strategies.own import read_strategy
+from meshpoint.controller.settings.settings import (
+    ESTIMATOR_NAMES,
+    STRATEGY_NAMES,
+    ControllerSettings,
+)
+from meshpoint.controller.settings.settings import load_settings as read_settings
+from meshpoint.controller.settings.strategy_file import FORM, is_file_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.orders import ScheduledFault

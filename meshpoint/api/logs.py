@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
 from meshpoint.api.choices import PathLike, load_gearbox
 from meshpoint.bus.logs.files import log_files, read_logs
-from meshpoint.controller.header import HeaderError, RunHeader, load_header, run_hash_of
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import HeaderError, RunHeader, load_header, run_hash_of
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.fields import FieldKind, FieldSpec
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS

@@ -20,9 +20,9 @@ from meshpoint.api.choices import (
     setup_of,
 )
 from meshpoint.api.logs import Log, load_arrow, shifts_table
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.strategy_file import StrategyFile
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.strategy_file import StrategyFile
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import ScheduledFault

@@ -106,8 +106,8 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from meshpoint.bus.logs.reader import LogError
     from meshpoint.bus.options import BusOpenError
     from meshpoint.bus.pace import PaceError
-    from meshpoint.controller.header import HeaderError
-    from meshpoint.controller.strategy_file import StrategyError
+    from meshpoint.controller.settings.header import HeaderError
+    from meshpoint.controller.settings.strategy_file import StrategyError
     from meshpoint.gearbox.tables import TableError
     from meshpoint.rig_sim.settings import SettingsError
     from meshpoint.testbench.errors import CommandError

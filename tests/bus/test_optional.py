@@ -24,7 +24,7 @@ RUN = ["simulate", "--shifts", "1", "--preset", "thesis", "--json", "run.json"]
 @pytest.mark.parametrize(
     ("what", "wanted"),
     [
-        ("import meshpoint.controller.node, meshpoint.rig_sim.node; ", ()),
+        ("import meshpoint.controller.run.node, meshpoint.rig_sim.node; ", ()),
         (SIMULATE.format(RUN), ()),
         (
             SIMULATE.format([*RUN, "--profile", "classic"]),

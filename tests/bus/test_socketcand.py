@@ -19,9 +19,9 @@ from meshpoint.bus.classic.cores import ClassicControllerCore, ClassicRigCore
 from meshpoint.bus.core import Core
 from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.bus.options import BusOpenError, add_bus_arguments, open_bus_from
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings

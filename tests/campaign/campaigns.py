@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.columns import FIELDS

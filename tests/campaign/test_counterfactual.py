@@ -10,8 +10,8 @@ import pytest
 from campaigns import small_spec
 from scipy.stats import chi2
 
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop

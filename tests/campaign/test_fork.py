@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from campaigns import small_spec
 
-from meshpoint.controller.core import OWN_ADDRESS
-from meshpoint.controller.header import RunHeader, new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import OWN_ADDRESS
+from meshpoint.controller.settings.header import RunHeader, new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw

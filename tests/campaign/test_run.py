@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from campaigns import small_spec
 
-from meshpoint.controller.settings import ControllerSettings, Prices
+from meshpoint.controller.settings.settings import ControllerSettings, Prices
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
-from meshpoint.controller.settings import ControllerSettings, Prices, Window
+from meshpoint.controller.settings.settings import ControllerSettings, Prices, Window
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.run import run_one
 from meshpoint.testbench.campaign.spec import TRUE_STATE, Job

@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from loop_bench import Loop
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 
 
 @pytest.fixture(scope="session")

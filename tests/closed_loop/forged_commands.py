@@ -19,9 +19,9 @@ from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.authentication.proof import CLUTCH, COMMANDS, HELD, VALVES
 from meshpoint.bus.command_keys import CommandKeys, make_keys
 from meshpoint.bus.core import Step
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.e2e import write_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS

@@ -31,9 +31,9 @@ from typing import Any, Final
 from meshpoint.bus.classic.cores import bench_unpacker
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import load_sheet

@@ -6,7 +6,7 @@ from typing import Any
 
 from loop_bench import Loop
 
-from meshpoint.controller.settings import ControllerSettings, EngineRequests
+from meshpoint.controller.settings.settings import ControllerSettings, EngineRequests
 from meshpoint.dbc.messages import (
     ControllerState,
     EngagementEvent,

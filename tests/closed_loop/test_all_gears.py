@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     TSC1,
     ControllerEstimates,

@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 from loop_bench import SHEET, Loop
 
-from meshpoint.controller.calibration.learned import Calibration, read_calibration
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.learned import Calibration, read_calibration
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault

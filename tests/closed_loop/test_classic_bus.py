@@ -13,7 +13,7 @@ from meshpoint.bus.classic.cores import ClassicListenerCore
 from meshpoint.bus.core import Step
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS, ClassicSender
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.frame import Frame

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
-from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise, RigFault
 from meshpoint.dbc.node import Node

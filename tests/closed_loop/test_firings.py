@@ -10,7 +10,7 @@ import pytest
 from loop_bench import Loop
 from test_refused_firing import HeldUp
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     FaultCode,
     RigFault,

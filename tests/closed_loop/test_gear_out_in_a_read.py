@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.observer import Observer
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.estimate.observer import Observer
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts

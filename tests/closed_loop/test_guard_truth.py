@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings, ShiftLimits
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ControllerSettings, ShiftLimits
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     TC1,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecord
-from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.learned import BrakeRecord, NoiseRecord, SwingRecord
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile

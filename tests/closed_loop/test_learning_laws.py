@@ -11,8 +11,8 @@ import pytest
 from loop_bench import Loop
 from recorded_runs import RUNS, AnyVersion, Transcript, frame_of, transcript_of
 
-from meshpoint.controller.calibration.learned import Calibration, read_calibration
-from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.learned import Calibration, read_calibration
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimation.loaded_driveline import BehindState
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.estimate.loaded_driveline import BehindState
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts

@@ -18,16 +18,16 @@ from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.records import Records
-from meshpoint.controller import node
-from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.outage_record import (
+from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.run import node
+from meshpoint.controller.run.outage_record import (
     AFTER_STEPS,
     BEFORE_STEPS,
     OutageRecord,
     load_outages,
 )
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Session, Verification

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.controller.settings import load_settings
+from meshpoint.controller.settings.settings import load_settings
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw

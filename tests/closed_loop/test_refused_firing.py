@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.core.core import ControllerCore
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import (

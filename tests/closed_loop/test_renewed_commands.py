@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import TSC1, ClutchCommand, Message, TscOverrideMode, ValveCommand

@@ -10,8 +10,8 @@ from typing import ClassVar
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.arithmetic import arithmetic
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.arithmetic import arithmetic
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.logs.replay import LogReplay

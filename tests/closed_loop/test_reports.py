@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from loop_bench import SHEET, Loop
 
-from meshpoint.controller.report.reporter import ETC2_EVERY
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.reporter import ETC2_EVERY
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     ETC1,

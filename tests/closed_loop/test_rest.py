@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 import meshpoint
-from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import Draw

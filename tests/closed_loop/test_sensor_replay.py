@@ -14,9 +14,9 @@ from loop_bench import Loop
 from page_data import page_data
 
 from meshpoint.bus.logs.recorder import LogWriter
-from meshpoint.controller.core import OWN_ADDRESS
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import OWN_ADDRESS
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult

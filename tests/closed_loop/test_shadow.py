@@ -16,9 +16,9 @@ from meshpoint.bus.driver import run_node
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import LISTEN_ONLY, listen_only_words, open_bus_from
-from meshpoint.controller.core import OWN_ADDRESS
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import OWN_ADDRESS
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, SleevesMain
 from meshpoint.dbc.node import Node

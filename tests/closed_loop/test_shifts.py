@@ -8,8 +8,8 @@ from itertools import pairwise
 import pytest
 from loop_bench import PHASES_US, SHEET, Loop
 
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.table import TRANSITIONS
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import (

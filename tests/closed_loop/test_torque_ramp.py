@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.settings import ControllerSettings, EngineRequests
+from meshpoint.controller.settings.settings import ControllerSettings, EngineRequests
 from meshpoint.dbc.messages import (
     TSC1,
     EngagementEvent,

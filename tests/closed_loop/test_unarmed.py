@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import UNARMED
+from meshpoint.controller.core.core import UNARMED
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     TSC1,

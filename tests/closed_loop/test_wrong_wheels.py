@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,
     EngagementEvent,

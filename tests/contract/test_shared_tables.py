@@ -10,13 +10,13 @@ from cantools.database.can import Database, Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import meshpoint.controller.core
+import meshpoint.controller.core.core
 import meshpoint.controller.guard.case
 import meshpoint.controller.guard.listening as guard_ear
-import meshpoint.controller.node
-import meshpoint.controller.valve_name
+import meshpoint.controller.run.node
 import meshpoint.rig_sim.node
 import meshpoint.rig_sim.shared.valve_drivers
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
@@ -62,8 +62,8 @@ def test_the_main_gears_of_the_sheet_are_those_of_the_wire(database: Database) -
 
 def test_the_controller_answers_to_its_address_in_the_dbc(database: Database) -> None:
     own = address(database, "TransmissionControl")
-    assert own == meshpoint.controller.core.OWN_ADDRESS
-    assert frozenset({own}) == meshpoint.controller.node.ADDRESSES
+    assert own == meshpoint.controller.core.core.OWN_ADDRESS
+    assert frozenset({own}) == meshpoint.controller.run.node.ADDRESSES
     for sent in database.messages:
         is_ours = sent.senders == ["TransmissionControl"]
         assert (sent.frame_id & 0xFF == own) is is_ours, sent.name
@@ -97,9 +97,9 @@ def test_the_valves_stand_in_the_same_order_everywhere(database: Database) -> No
     def camel(name: str) -> str:
         return "".join(part.capitalize() for part in name.split("_"))
 
-    assert [camel(valve.name) for valve in meshpoint.controller.valve_name.ValveName] == on_wire
+    assert [camel(valve.name) for valve in ValveName] == on_wire
     assert [camel(valve.name) for valve in meshpoint.rig_sim.shared.valve_drivers.Valve] == on_wire
-    assert [int(valve) for valve in meshpoint.controller.valve_name.ValveName] == list(range(9))
+    assert [int(valve) for valve in ValveName] == list(range(9))
 
 
 def test_the_guard_reads_the_frame_where_the_dbc_has_it(database: Database) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from meshpoint.controller.calibration.learned import (
+from meshpoint.controller.settings.learned import (
     BrakeRecord,
     Calibration,
     End,

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.controller.header import RunHeader, new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import RunHeader, new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, load_sheet
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -13,8 +13,8 @@ from meshpoint.controller.guard.rules import (
 )
 from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node

@@ -8,15 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.estimation.teeth import Found, WheelTeeth
-from meshpoint.controller.estimation.tooth_match import (
+from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.phase.reference_recovery import (
+    ReferenceRecovery,
+    SavedReferences,
+)
+from meshpoint.controller.estimate.teeth import Found, WheelTeeth
+from meshpoint.controller.estimate.tooth_match import (
     ToothPattern,
     turned,
 )
-from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.phase.reference_recovery import ReferenceRecovery, SavedReferences
-from meshpoint.controller.sensing.sensor_count import Renumbered
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.measure.sensor_count import Renumbered
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.kinematics import raw_phase_rad, wrap_to_pitch

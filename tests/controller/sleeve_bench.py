@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from drawn_sleeve import FACE, DrawnSleeve
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.controller.sleeve.sleeves import Sleeves
-from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
 

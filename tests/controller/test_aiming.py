@@ -21,11 +21,11 @@ from test_strategy import (
     truth,
 )
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.plan_kernels import OUTSIDE, OUTSIDE_S
-from meshpoint.controller.planning.strategies.target_phase import TargetPhase
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.plan_kernels import OUTSIDE, OUTSIDE_S
+from meshpoint.controller.plan.strategies.target_phase import TargetPhase
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import Split
 
 SETTINGS = ControllerSettings()

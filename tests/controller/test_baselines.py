@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
-from meshpoint.controller.estimation.cruise import (
+from meshpoint.controller.estimate.baseline_tracker import BaselineTracker
+from meshpoint.controller.estimate.cruise import (
     ESTIMATE_STALE_US,
     SPEED_WINDOW_US,
     CruiseTracker,
     WindowSpeed,
 )
-from meshpoint.controller.estimation.layshaft import LayshaftModels
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.models import first_order_law, free_motion
-from meshpoint.controller.sensing.pressure_samples import NO_SAMPLES
-from meshpoint.controller.sensing.wheel_edges import NO_EDGES, EdgeBatch
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.estimate.layshaft import LayshaftModels
+from meshpoint.controller.measure.pressure_samples import NO_SAMPLES
+from meshpoint.controller.measure.wheel_edges import NO_EDGES, EdgeBatch
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.linear import layshaft_model
+from meshpoint.controller.models.models import first_order_law, free_motion
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import Split, load_sheet
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from test_brake_model import END_US, OFF_US, ON_US, OTHER, SHEET, TUNING, fresh, measured, motion_of
 
-from meshpoint.controller.calibration.learned import BrakeRecord
-from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
-from meshpoint.controller.estimation.layshaft import LayshaftModels
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.sensing.pressure_samples import NO_SAMPLES, PressureSamples
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
+from meshpoint.controller.estimate.layshaft import LayshaftModels
+from meshpoint.controller.measure.pressure_samples import NO_SAMPLES, PressureSamples
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.settings.learned import BrakeRecord
 from meshpoint.gearbox import Split
 
 TEETH, OMEGA_RAD_S, STEP_US = SHEET.wheels.layshaft.teeth, 150.0, 10_000

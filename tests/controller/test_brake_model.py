@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimation.brake_model import LEAST_SAMPLES, PARAMETERS, BrakeModel
-from meshpoint.controller.estimation.figure import Estimate
-from meshpoint.controller.estimation.touch_and_lag import uncorrelated
-from meshpoint.controller.motion.models import LayshaftState, MotionModel, free_motion, predict
-from meshpoint.controller.sensing.pressure_samples import PressureSampler, PressureSamples
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.estimate.brake_model import LEAST_SAMPLES, PARAMETERS, BrakeModel
+from meshpoint.controller.estimate.figure import Estimate
+from meshpoint.controller.estimate.touch_and_lag import uncorrelated
+from meshpoint.controller.measure.pressure_samples import PressureSampler, PressureSamples
+from meshpoint.controller.models.models import LayshaftState, MotionModel, free_motion, predict
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import Split, load_sheet
 
 SHEET = load_sheet("truck12")

@@ -11,13 +11,16 @@ from calibration_example import SHEET, TEXT, example
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.calibration.file import (
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.run.calibration_keeper import CalibrationWriter
+from meshpoint.controller.settings.calibration_file import (
     MOST_KEPT,
     load,
     read_file,
     save,
 )
-from meshpoint.controller.calibration.learned import (
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.learned import (
     BrakeRecord,
     Calibration,
     CalibrationError,
@@ -30,10 +33,7 @@ from meshpoint.controller.calibration.learned import (
     WheelRecords,
     read_calibration,
 )
-from meshpoint.controller.calibration_keeper import CalibrationWriter
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.results.tooth_parts import take_apart
 from meshpoint.units import DEG

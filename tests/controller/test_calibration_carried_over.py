@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 from calibration_example import SHEET, example
 
-from meshpoint.controller.calibration.learned import (
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.learned import (
     Calibration,
     ReferenceRecords,
     SleeveRecords,
     SwingRecords,
     WheelRecords,
 )
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 
 
 def core_with(calibration: Calibration | None, estimator: str = "crossing") -> ControllerCore:

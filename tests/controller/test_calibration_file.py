@@ -12,10 +12,10 @@ import pytest
 from calibration_example import SHEET, TEXT, example
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.calibration import file as module
-from meshpoint.controller.calibration.file import load, save
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.calibration_keeper import CalibrationKeeper, CalibrationWriter
+from meshpoint.controller.run.calibration_keeper import CalibrationKeeper, CalibrationWriter
+from meshpoint.controller.settings import calibration_file as module
+from meshpoint.controller.settings.calibration_file import load, save
+from meshpoint.controller.settings.learned import Calibration
 
 
 class Learner:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 from calibration_example import SHEET, example
 
-from meshpoint.controller.calibration.learned import (
+from meshpoint.controller.settings.learned import (
     BrakeRecord,
     CalibrationError,
     NoiseRecord,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from test_lash import Truth, a_lash
 
-from meshpoint.controller.estimation import lash_cloud
-from meshpoint.controller.estimation.lash import LashStart
-from meshpoint.controller.estimation.lash_cloud import LashCloud
+from meshpoint.controller.estimate import lash_cloud
+from meshpoint.controller.estimate.lash import LashStart
+from meshpoint.controller.estimate.lash_cloud import LashCloud
 from meshpoint.kernels.records import Vector
 
 TOOTH_RAD = 5e-4

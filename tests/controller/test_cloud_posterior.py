@@ -11,9 +11,9 @@ import pytest
 from scipy.linalg import expm
 from test_lash import a_lash
 
-from meshpoint.controller.estimation.lash import Lash, LashStart
-from meshpoint.controller.estimation.lash_cloud import LashCloud
-from meshpoint.controller.motion.lash_motion import ANGLE, SPEED, VEHICLE, WAY, move
+from meshpoint.controller.estimate.lash import Lash, LashStart
+from meshpoint.controller.estimate.lash_cloud import LashCloud
+from meshpoint.controller.models.lash_motion import ANGLE, SPEED, VEHICLE, WAY, move
 from meshpoint.kernels.records import Vector
 
 START = LashStart(0.0, 0.0, 60.0, 60.0)

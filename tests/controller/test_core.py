@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.sensing.clock_probe import FIRST_OF_A_READ
-from meshpoint.controller.settings import ControllerSettings, Timing
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.measure.clock_probe import FIRST_OF_A_READ
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings, Timing
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter

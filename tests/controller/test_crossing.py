@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from free_layshaft import Runs, World, drive, law_array
 
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.motion.models import LayshaftState, MotionModel, diagonal, free_motion
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimate.teeth import WheelTeeth
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.models import LayshaftState, MotionModel, diagonal, free_motion
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.units import US
 

@@ -15,17 +15,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from meshpoint.controller.estimation.crossing_filter import (
+from meshpoint.controller.estimate.crossing_filter import (
     NO_PRESSURES,
     CrossingFilter,
     Pressures,
 )
-from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, MAIN_FILTER, FilterKind
-from meshpoint.controller.estimation.teeth import TeethLearner
-from meshpoint.controller.motion.models import MotionModel, first_order_law
-from meshpoint.controller.motion.swing import SwingMotion, SwingRates
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.swing_filter import LAYSHAFT_FILTER, MAIN_FILTER, FilterKind
+from meshpoint.controller.estimate.teeth import TeethLearner
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.models import MotionModel, first_order_law
+from meshpoint.controller.models.swing import SwingMotion, SwingRates
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import RecordMemory, Vector
 
 TUNING = replace(

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimation.lash import (
+from meshpoint.controller.estimate.lash import (
     LEAST_DRAG,
     LEAST_SHARE_SD,
     SEEN_SDS,
     Lash,
     LashStart,
 )
-from meshpoint.controller.estimation.lash_cloud import MOST_OFF, correct
-from meshpoint.controller.motion.lash_motion import (
+from meshpoint.controller.estimate.lash_cloud import MOST_OFF, correct
+from meshpoint.controller.models.lash_motion import (
     ANGLE,
     DRAG,
     HALF,

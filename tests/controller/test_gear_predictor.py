@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from test_strategy import GEAR, RATIO, SHEET, learned
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.models import LayshaftState, MotionModel, first_order_law
-from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.phase.reference import LEARNED_SD_RAD, PhaseReferences
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.models import LayshaftState, MotionModel, first_order_law
+from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.plan.gear_predictor import GearPredictor
 
 AT_ZERO, DELAY_SD_S = 0.03, 2e-3
 LAYSHAFT = LayshaftState(1_000.0, 1.5, 100.0, 0.0, 4e-3, 0.25, drag_rad_s2=-30.0)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView, SleeveTrack
+from meshpoint.controller.measure.gearbox_view import GearboxView, SleeveTrack
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split, load_sheet
 

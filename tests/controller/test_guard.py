@@ -44,7 +44,7 @@ from meshpoint.controller.guard.rules import (
     Guard,
     slip_out_of_its_window,
 )
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.gearbox import MainGear, Split
 

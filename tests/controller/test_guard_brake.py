@@ -21,7 +21,7 @@ from guard_cases import (
 
 from meshpoint.controller.guard.case import NO_SPANS, Span
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.units import RPM
 

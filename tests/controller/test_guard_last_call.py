@@ -16,7 +16,7 @@ from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 from meshpoint.controller.guard.swing import Swing, SwingMemory
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ValveCommand
 from meshpoint.gearbox import MainGear
 from meshpoint.units import RPM

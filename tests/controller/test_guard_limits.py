@@ -29,7 +29,7 @@ from meshpoint.controller.guard.limits import (
 )
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")

@@ -15,7 +15,7 @@ from meshpoint.controller.guard.driveline import CLUTCH_ROWS, ENGINE_ROWS, Drive
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.rules import GUARD_ROWS
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.gearbox import Split
 from meshpoint.units import RPM
 

@@ -32,7 +32,7 @@ from meshpoint.controller.guard.rules import (
     two_sleeves_of_the_main_box,
 )
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 
 BRAKE, SPLIT_LOW, SPLIT_HIGH, FIRST, SECOND = range(5)

@@ -19,7 +19,7 @@ from meshpoint.controller.guard.listening import (
     VALVE_STATUS,
 )
 from meshpoint.controller.guard.view import GuardInputs, GuardView
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import MainGear, Range, Split
 from meshpoint.units import RPM

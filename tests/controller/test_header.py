@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshpoint.controller.header import HeaderError, RunHeader, header_name, load_header
-from meshpoint.controller.settings import Aim, ControllerSettings, ShiftLimits
+from meshpoint.controller.settings.header import HeaderError, RunHeader, header_name, load_header
+from meshpoint.controller.settings.settings import Aim, ControllerSettings, ShiftLimits
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox.sheet import SHEET_NAMES, load_sheet
 

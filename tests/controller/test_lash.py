@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.calibration.learned import SwingRecord
-from meshpoint.controller.estimation.lash import (
+from meshpoint.controller.estimate.lash import (
     SEEN_SDS,
     Lash,
     LashStart,
     VehicleTrajectory,
 )
-from meshpoint.controller.estimation.lash_cloud import (
+from meshpoint.controller.estimate.lash_cloud import (
     LashCloud,
     spread,
 )
-from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
-from meshpoint.controller.estimation.lash_start import StartWatch
-from meshpoint.controller.estimation.loaded_driveline import BehindState
-from meshpoint.controller.estimation.main_tracker import MainTracker
-from meshpoint.controller.motion.lash_motion import (
+from meshpoint.controller.estimate.lash_rivals import AHEAD_US, LashRivals, Prediction
+from meshpoint.controller.estimate.lash_start import StartWatch
+from meshpoint.controller.estimate.loaded_driveline import BehindState
+from meshpoint.controller.estimate.main_tracker import MainTracker
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.lash_motion import (
     ANGLE,
     DRAG,
     HALF,
@@ -42,9 +42,9 @@ from meshpoint.controller.motion.lash_motion import (
     move,
     move_often,
 )
-from meshpoint.controller.motion.lash_trajectory import LashTrajectory
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.models.lash_trajectory import LashTrajectory
+from meshpoint.controller.settings.learned import SwingRecord
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
 from meshpoint.gearbox.driveline import Axle, Driveline
 from meshpoint.kernels.records import Vector

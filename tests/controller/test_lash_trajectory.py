@@ -9,7 +9,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from meshpoint.controller.motion.lash_motion import (
+from meshpoint.controller.models.lash_motion import (
     ANGLE,
     DRAG,
     HALF,
@@ -23,7 +23,7 @@ from meshpoint.controller.motion.lash_motion import (
     WHEELS,
     LashModel,
 )
-from meshpoint.controller.motion.lash_trajectory import (
+from meshpoint.controller.models.lash_trajectory import (
     LEAST_SD_RAD,
     MOST_SURE,
     MOST_TICKS,

@@ -9,23 +9,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from meshpoint.controller.calibration.learned import SwingRecord
-from meshpoint.controller.estimation.driveline_swing import (
+from meshpoint.controller.estimate.driveline_swing import (
     START_SHARE,
     DrivelineSwing,
     EdgeRun,
 )
-from meshpoint.controller.estimation.figure import Figure, prior
-from meshpoint.controller.estimation.lash import Lash
-from meshpoint.controller.estimation.lash_rivals import (
+from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.lash import Lash
+from meshpoint.controller.estimate.lash_rivals import (
     EACH_US,
     LEAST_WINDOWS,
     LashRivals,
     Prediction,
 )
-from meshpoint.controller.estimation.likelihood import GROWTH, learn
-from meshpoint.controller.motion.swing_kernels import RATE, STEADY, SWING, SWING_STATES
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.likelihood import GROWTH, learn
+from meshpoint.controller.models.swing_kernels import RATE, STEADY, SWING, SWING_STATES
+from meshpoint.controller.settings.learned import SwingRecord
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import TURN
 

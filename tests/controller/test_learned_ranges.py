@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.sensing.pressure_samples import PressureSamples
+from meshpoint.controller.estimate.brake_model import BrakeModel
+from meshpoint.controller.measure.pressure_samples import PressureSamples
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")

@@ -12,14 +12,14 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
 
-from meshpoint.controller.estimation.loaded_driveline import (
+from meshpoint.controller.estimate.loaded_driveline import (
     LEAST_S,
     BehindState,
     Load,
     LoadedDriveline,
     Shafts,
 )
-from meshpoint.controller.estimation.loaded_kernels import (
+from meshpoint.controller.estimate.loaded_kernels import (
     GEAR_SPEED,
     HILL,
     LOADED_MODEL,
@@ -33,8 +33,8 @@ from meshpoint.controller.estimation.loaded_kernels import (
     beyond_flanks,
     loaded_ahead,
 )
-from meshpoint.controller.motion.twist import CREEP as TWIST_CREEP
-from meshpoint.controller.motion.twist import TYRE as TWIST_TYRE
+from meshpoint.controller.models.twist import CREEP as TWIST_CREEP
+from meshpoint.controller.models.twist import TYRE as TWIST_TYRE
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.kernels.records import Vector, filled
@@ -281,6 +281,17 @@ def test_nothing_is_said_of_a_gear_that_was_hardly_seen() -> None:
     few = driven(5, 0)
     short = few._replace(steps=few.steps[: round(LEAST_S / 0.01)])
     assert followed(short._replace(end_us=float(short.steps[-1][0][0, -1])), 5) is None
+
+
+def test_a_gear_that_was_not_followed_for_long_enough_says_so() -> None:
+    """Neither one that is not followed at all, nor one that is well known."""
+    assert not LoadedDriveline(SHEET).is_early
+    few = driven(5, 0)
+    short = follow(few._replace(steps=few.steps[: round(LEAST_S / 0.01)]), 5)
+    assert short.is_early
+    assert not follow(few, 5).is_early
+    short.lose()
+    assert not short.is_early
 
 
 def test_nothing_is_said_long_after_the_newest_edge_nor_of_a_time_before_it() -> None:

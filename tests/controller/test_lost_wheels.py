@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from wheel import capture
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.observer import Observer
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.estimate.observer import Observer
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     EdgesLayshaftFall,
     EdgesLayshaftRise,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.motion.models import (
+from meshpoint.controller.models.models import (
     Disturbance,
     LayshaftState,
     MotionModel,
@@ -24,7 +24,7 @@ from meshpoint.controller.motion.models import (
     predict_spread,
     state_of,
 )
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 
 SHEET = load_sheet("truck12")

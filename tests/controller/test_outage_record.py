@@ -9,8 +9,8 @@ import pytest
 
 from meshpoint.bus.core import Step
 from meshpoint.bus.records import Records
-from meshpoint.controller import outage_record
-from meshpoint.controller.outage_record import (
+from meshpoint.controller.run import outage_record
+from meshpoint.controller.run.outage_record import (
     OutageError,
     OutageRecord,
     StepInput,

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.planning.strategies.base import ReleasePlan
-from meshpoint.controller.planning.strategies.own import OwnStrategy
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.strategy_file import StrategyError, StrategyFile
+from meshpoint.controller.plan.strategies.base import ReleasePlan
+from meshpoint.controller.plan.strategies.own import OwnStrategy
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.strategy_file import StrategyError, StrategyFile
 from meshpoint.gearbox import load_sheet
 
 SHEET, SETTINGS = load_sheet("thesis"), ControllerSettings()

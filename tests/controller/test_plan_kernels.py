@@ -8,9 +8,9 @@ import normal_law
 import numpy as np
 import pytest
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.models import MotionModel, first_order_law
-from meshpoint.controller.planning.plan_kernels import (
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.models import MotionModel, first_order_law
+from meshpoint.controller.plan.plan_kernels import (
     CONTACT_SERIES,
     MEETING,
     TERMS,

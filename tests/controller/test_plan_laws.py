@@ -21,11 +21,11 @@ from test_strategy import (
     predictor_at,
 )
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, ReleasePlan
-from meshpoint.controller.planning.strategies.table import make_strategy
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.strategies.base import LATEST_RELEASE_US, ReleasePlan
+from meshpoint.controller.plan.strategies.table import make_strategy
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.units import RPM
 
 FIRST_US = EARLIEST_US + DELAY_US

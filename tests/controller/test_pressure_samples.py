@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.sensing.pressure_samples import PressureSampler, together
+from meshpoint.controller.measure.pressure_samples import PressureSampler, together
 
 TICK_US = 10_000
 

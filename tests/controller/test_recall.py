@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recall_bench import THESIS, TIED, TRUCK12, WHOLE, Bench
 
-from meshpoint.controller.estimation.tooth_match import (
+from meshpoint.controller.estimate.phase.turn_candidates import turn_candidates
+from meshpoint.controller.estimate.tooth_match import (
     ToothPattern,
 )
-from meshpoint.controller.phase.turn_candidates import turn_candidates
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS

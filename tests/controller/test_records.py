@@ -84,19 +84,19 @@ RUN = """
 from meshpoint.bus.light_can import load_can
 load_can()
 import json, sys, numpy as np
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.sensing.gate_kernels import gate_edges
-from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.motion.swing import Swing, SwingMotion, SwingRates
-from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
-from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
-from meshpoint.controller.planning.plan_kernels import cheapest, trajectory
+from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.measure.gate_kernels import gate_edges
+from meshpoint.controller.measure.gate_layout import new_gate, teeth_of
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
+from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates
+from meshpoint.controller.models.models import diagonal, first_order_law, following_motion
+from meshpoint.controller.plan.plan_kernels import CONTACT_SERIES, MEETING, TERMS
+from meshpoint.controller.plan.plan_kernels import cheapest, trajectory
 from meshpoint.kernels.records import filled
-from meshpoint.controller.settings import CrossingFilterTuning
-from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.warm_up import warm_up
+from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.teeth import WheelTeeth
+from meshpoint.controller.run.warm_up import warm_up
 rng = np.random.default_rng(4)
 tuning = CrossingFilterTuning()
 model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7, 8e5))

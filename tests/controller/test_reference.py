@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.motion.models import LayshaftState
-from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.phase.locked_gear import LockedGear
-from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.phase.locked_gear import LockedGear
+from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.models.swing import ShaftState
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from test_strategy import DELAY_US, GEAR, MAIN, MOTION, RATIO, VALVE_US, learned
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear import LayshaftState
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.plan_kernels import (
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.linear import LayshaftState
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.plan_kernels import (
     CONTACT_SERIES,
     TERMS,
     best_trajectory,

@@ -11,11 +11,8 @@ from typing import Any
 import pytest
 from test_shift_states import UP, aimed
 
-from meshpoint.controller.motion.models import Disturbance, LayshaftState
-from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.report.log_lines import decision_line
-from meshpoint.controller.report.messages import (
+from meshpoint.controller.core.log_lines import decision_line
+from meshpoint.controller.core.messages import (
     ANGLE_SD_TOP,
     angle,
     clip,
@@ -25,12 +22,15 @@ from meshpoint.controller.report.messages import (
     outcome,
     prediction,
 )
-from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.models.models import Disturbance, LayshaftState
+from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.plan.strategist import Plan
+from meshpoint.controller.settings.settings import ValveTiming
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.report.log_lines import decision_line, outcome_line
+from meshpoint.controller.core.log_lines import decision_line, outcome_line
+from meshpoint.controller.plan.strategist import Plan
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import ShiftDecision, ShiftResult, Strategy
 from meshpoint.gearbox.gears import DRIVE_GEARS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import MainGear, Sleeve, load_sheet
 

@@ -10,13 +10,13 @@ from typing import Final, NamedTuple
 
 import pytest
 
-from meshpoint.controller.settings import (
+from meshpoint.controller.settings.settings import (
     ControllerSettings,
     CrossingFilterTuning,
     load_settings,
     load_settings_file,
 )
-from meshpoint.controller.strategy_file import StrategyFile
+from meshpoint.controller.settings.strategy_file import StrategyFile
 from meshpoint.dbc.messages import Estimator, Strategy
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.tables import TableError, read_group

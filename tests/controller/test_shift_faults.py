@@ -21,8 +21,8 @@ from shift_box import (
     aimed,
 )
 
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, Sleeve

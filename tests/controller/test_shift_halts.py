@@ -22,8 +22,8 @@ from shift_box import (
     aimed,
 )
 
-from meshpoint.controller.sensing.gearbox_view import VIEW_NEUTRAL_M
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear

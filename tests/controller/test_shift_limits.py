@@ -13,8 +13,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shift_box import PITCH, STROKE_M, TICK_US, Box
 
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import Sleeve

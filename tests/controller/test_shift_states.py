@@ -26,10 +26,10 @@ from shift_box import (
     aimed,
 )
 
-from meshpoint.controller.planning.strategies.base import BUS_US
+from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import (
     ClutchAction,
     FaultCode,

@@ -6,15 +6,15 @@ import math
 
 import pytest
 
-from meshpoint.controller.calibration.learned import SleeveLawRecords, SleeveRecords
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords
+from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.controller.sleeve.cylinder import FRICTION
 from meshpoint.controller.sleeve.driven import DrivenSleeve
 from meshpoint.controller.sleeve.law import Prior, SleeveLaw
 from meshpoint.controller.sleeve.law_record import law_record
 from meshpoint.controller.sleeve.sleeves import SURE_SDS, Sleeves
 from meshpoint.controller.sleeve.to_rest import pulse_of, pulse_to_neutral_us, rests_at_m
-from meshpoint.controller.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import MainGear, Sleeve, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN

@@ -11,7 +11,7 @@ import pytest
 from drawn_sleeve import CYLINDERS, DETENT_M, FACE, DrawnSleeve
 from sleeve_bench import GEAR, OTHER, SLEEVE, VALVES, SleeveBench
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import load_sheet

@@ -10,17 +10,17 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker
-from meshpoint.controller.estimation.main_tracker import MainTracker
+from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US, CruiseTracker
+from meshpoint.controller.estimate.main_tracker import MainTracker
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
 from meshpoint.controller.guard.own_speed import NO_FRAME_US
 from meshpoint.controller.guard.view import GUARD_FRESH_US, GuardInputs, GuardView
-from meshpoint.controller.sensing.edge_speed import SPEED_STALE_US
-from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.wheel_edges import WheelEdges
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.measure.edge_speed import SPEED_STALE_US
+from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.wheel_edges import WheelEdges
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.step_timing import LONGER_US, MOST_MOVED_US, StepTiming
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.step_timing import LONGER_US, MOST_MOVED_US, StepTiming
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import EdgesInputRise
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from test_strategy import DELAY_US, GEAR, MAIN, MOTION, RATIO, VALVE_US, learned, predictor_at
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear import LayshaftState
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.planning.plan_kernels import TERMS
-from meshpoint.controller.planning.strategies.table import make_strategy
-from meshpoint.controller.sensing.wheel_edges import WheelEdges
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.measure.wheel_edges import WheelEdges
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.linear import LayshaftState
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.plan.plan_kernels import TERMS
+from meshpoint.controller.plan.strategies.table import make_strategy
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, EdgesMainRise, GearboxSensors
 from meshpoint.dbc.node import Node

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimation.driveline_swing import (
+from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimate.driveline_swing import (
     DrivelineSwing,
     MainWindow,
 )
-from meshpoint.controller.estimation.figure import Figure, prior
-from meshpoint.controller.estimation.lash import Lash
-from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.motion.swing import ShaftState, Swing, SwingMotion, SwingRates
-from meshpoint.controller.motion.swing_kernels import SWING_STATES
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.lash import Lash
+from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
+from meshpoint.controller.estimate.teeth import WheelTeeth
+from meshpoint.controller.models.swing import ShaftState, Swing, SwingMotion, SwingRates
+from meshpoint.controller.models.swing_kernels import SWING_STATES
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import Vector
 

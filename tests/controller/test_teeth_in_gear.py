@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.estimation.teeth_in_gear import (
+from meshpoint.controller.estimate.teeth import WheelTeeth
+from meshpoint.controller.estimate.teeth_in_gear import (
     ACCELERATION,
     EDGE_TIME,
     TURNS,
     TeethInGear,
 )
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import ControllerSettings, CrossingFilterTuning
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.settings.settings import ControllerSettings, CrossingFilterTuning
 from meshpoint.gearbox import load_sheet
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset, Profile

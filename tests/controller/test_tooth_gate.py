@@ -9,8 +9,8 @@ from collections.abc import Iterable
 import pytest
 from wheel import Wheel
 
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
-from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.wheel_edges import WheelEdges
 
 TEETH, TOOTH_US, DUTY = 45, 1000, 0.5
 BEGIN_US = 1_000_000

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimation.tooth_match import (
+from meshpoint.controller.estimate.tooth_match import (
     PatternEquations,
     ToothPattern,
     compare,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimation.touch_and_lag import (
+from meshpoint.controller.estimate.touch_and_lag import (
     CAUTION,
     DRIFT_SD,
     MOST_ROUNDS,

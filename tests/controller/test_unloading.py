@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from shift_box import SHEET, Box
 
-from meshpoint.controller.sensing.clutch_track import ClutchTrack
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.measure.clutch_track import ClutchTrack
+from meshpoint.controller.settings.valve_name import ValveName
 
 TRAVEL_US = 100_000
 SET_OFF_US = 1_000_000

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.settings.settings import ValveTiming
+from meshpoint.controller.settings.valve_name import ValveName, driven_or_pending
 from meshpoint.controller.shift.valve_board import OFF, ValveBoard
-from meshpoint.controller.valve_name import ValveName, driven_or_pending
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 T0 = (1 << 32) + 5_000_000

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from free_layshaft import Runs, World, drive, law_array
 
-from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.estimation.crossing_filter import Pressures
-from meshpoint.controller.estimation.figure import Figure, prior
-from meshpoint.controller.estimation.free_run import FreeMotion, FreeRun
-from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.motion.kernels import DRAG
-from meshpoint.controller.motion.models import diagonal, free_motion
-from meshpoint.controller.sensing.pressure_samples import PressureSamples
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimate.brake_model import BrakeModel
+from meshpoint.controller.estimate.crossing_filter import Pressures
+from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.free_run import FreeMotion, FreeRun
+from meshpoint.controller.estimate.teeth import WheelTeeth
+from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.kernels import DRAG
+from meshpoint.controller.models.models import diagonal, free_motion
+from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.kernels.records import Vector
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from wheel import READ_US, capture
 
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
-from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 
 LEAD_US = 1 << 20

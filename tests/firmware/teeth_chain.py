@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from firmware_bench import AT_REST, BY_ID, WRAP
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import read_alone
 from meshpoint.gearbox import load_sheet

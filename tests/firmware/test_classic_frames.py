@@ -21,7 +21,7 @@ from test_off import ENDS, go_through_all
 from meshpoint.bus.classic.commands import OrderSender
 from meshpoint.bus.classic.edges import EdgeReport, EdgeSender
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.frame import Frame

@@ -9,7 +9,7 @@ import pytest
 from firmware_bench import emulated_board
 from test_loop import SHEET, Driven, bus, idle
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings

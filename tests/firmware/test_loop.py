@@ -13,7 +13,7 @@ import pytest
 from firmware_bench import CommandBench
 
 from meshpoint.bus.core import Core
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone

@@ -24,9 +24,9 @@ from loop_bench import PHASES_US, Operator
 
 from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
 from meshpoint.bus.core import Core, Step
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (

@@ -14,10 +14,10 @@ from benchmarks.studies.settings import load_study_settings
 from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.options import add_bus_arguments, bus_config
-from meshpoint.controller.calibration.file import read_file
-from meshpoint.controller.header import header_name, load_header
-from meshpoint.controller.settings import load_settings
-from meshpoint.controller.strategy_file import read_source
+from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.settings.header import header_name, load_header
+from meshpoint.controller.settings.settings import load_settings
+from meshpoint.controller.settings.strategy_file import read_source
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError, load_toml
 from meshpoint.rig_sim.truck.as_built import load_as_built

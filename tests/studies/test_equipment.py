@@ -21,8 +21,8 @@ from benchmarks.studies.equipment_truth import Parking, WheelRings, WheelRingTee
 from benchmarks.studies.record import Finding, StudyJob
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
-from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.plan.gear_predictor import GearPredictor
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile

@@ -27,7 +27,7 @@ from benchmarks.swarm.events import (
 from benchmarks.swarm.shrink import shrink
 from benchmarks.swarm.swarm import SwarmSpec, breaks
 from meshpoint.controller.guard.rules import Guard
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.xcp.memory import PAGE_ADDRESS, identity
 from meshpoint.controller.xcp.parameters import PARAMETERS, ROW_BYTES
 from meshpoint.dbc.layout import CODECS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset

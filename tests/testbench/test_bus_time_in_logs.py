@@ -14,8 +14,8 @@ from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.bus_stamps import BusStamps
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.pace import PacedClock, PaceFile
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, RigSettings

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from meshpoint.bus.logs.reader import read_log
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
-from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EdgesLayshaftFall, EdgesLayshaftRise
 from meshpoint.dbc.node import Node

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import FaultCode, PhaseReference, ShiftOutcome, ShiftResult, Strategy
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.rig_sim.settings import Preset

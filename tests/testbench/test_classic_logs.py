@@ -9,7 +9,7 @@ import pytest
 from meshpoint.bus.classic.cores import ClassicRigCore, listener_unpacker
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings

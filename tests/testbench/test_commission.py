@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from live_command import live
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Firmware

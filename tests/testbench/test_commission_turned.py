@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     TSC1,

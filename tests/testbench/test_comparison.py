@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from meshpoint.controller.planning.strategies.table import STRATEGIES
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.plan.strategies.table import STRATEGIES
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.figures import frontier

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.cli import main

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import (
     TSC1,

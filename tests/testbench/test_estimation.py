@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim import Preset, RigCore, RigSettings
 from meshpoint.testbench.loop.simulate import Setup, simulate

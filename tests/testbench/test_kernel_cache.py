@@ -208,8 +208,8 @@ def test_a_controller_in_a_run_has_its_kernels_once_each() -> None:
     script = """
 import gc
 from numba.core.registry import CPUDispatcher
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.warm_up import warm_up
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.run.warm_up import warm_up
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
@@ -316,12 +316,12 @@ def test_what_cannot_be_followed_is_refused() -> None:
 
 def test_the_digest_is_the_same_in_every_process() -> None:
     script = (
-        "from meshpoint.controller.estimation.crossing_kernels import crossing_filter\n"
+        "from meshpoint.controller.estimate.crossing_kernels import crossing_filter\n"
         "from meshpoint.rig_sim.truck.kernels import advance\n"
         "from meshpoint.kernels.cache import digest_of\n"
         "print(digest_of(crossing_filter), digest_of(advance))"
     )
-    before = "import meshpoint.controller.warm_up, meshpoint.rig_sim.presets\n"
+    before = "import meshpoint.controller.run.warm_up, meshpoint.rig_sim.presets\n"
     seen = [
         subprocess.run(
             [sys.executable, "-c", text],

@@ -13,8 +13,8 @@ import pytest
 from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.cli import main

@@ -10,7 +10,7 @@ import pytest
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.bus.simulated.filler import FillerTraffic, draw_filler
 from meshpoint.bus.simulated.frame_bits import BitTiming
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet

@@ -100,9 +100,9 @@ def test_compiling_is_shown_and_nothing_without_it() -> None:
     progress.close()
     assert out.getvalue() == ""
     progress.count("rig_sim.truck.kernels.advance")
-    progress.count("controller.sensing.gate_kernels.gate_edges")
-    progress.take("controller.sensing.gate_kernels.gate_edges")
-    progress.take("controller.sensing.gate_kernels.gate_edges")  # by another process too
+    progress.count("controller.measure.gate_kernels.gate_edges")
+    progress.take("controller.measure.gate_kernels.gate_edges")
+    progress.take("controller.measure.gate_kernels.gate_edges")  # by another process too
     progress.close()
     lines = out.getvalue().splitlines()
     assert lines[0].startswith("compiling kernels, once on this machine")
@@ -145,7 +145,7 @@ def test_as_many_kernels_are_counted_as_there_are() -> None:
     script = """
 import gc
 from meshpoint.kernels.cache import KernelCache
-import meshpoint.controller.warm_up, meshpoint.rig_sim.presets
+import meshpoint.controller.run.warm_up, meshpoint.rig_sim.presets
 print(sum(isinstance(each, KernelCache) for each in gc.get_objects()))
 """
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import cantools.database
 import pytest
 
-from meshpoint.controller.settings import (
+from meshpoint.controller.settings.settings import (
     ControllerSettings,
     Outputs,
     SettingsFile,

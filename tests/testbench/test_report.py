@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from page_data import page_data
 from scipy.stats import binomtest
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,

@@ -8,7 +8,7 @@ import pytest
 
 from meshpoint.bus.core import Step
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.loop.adapter_profiles import PROFILES

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from browser import browse
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ReferencePhase

@@ -24,9 +24,9 @@ from benchmarks.studies.registry import STUDY_NAMES, load
 from benchmarks.studies.runner import StudyRecord
 from benchmarks.swarm.command import reached_table
 from benchmarks.swarm.swarm import Swarm
-from meshpoint.controller.calibration.file import read_file
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.settings.learned import Calibration
+from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.derived import sheet_figures

@@ -74,7 +74,7 @@ def test_what_prints_past_the_one_place_is_found(line: str, is_bare: bool) -> No
 def test_an_old_name_and_a_hidden_import_are_found() -> None:
     assert "controller" in imported("from controller.core import Controller\n")
     assert "dbc" in imported("import dbc\n")
-    assert not imported("from meshpoint.controller.core import Controller\n") & {"controller"}
+    assert not imported("from meshpoint.controller.core.core import Controller\n") & {"controller"}
     hidden = "if TYPE_CHECKING:\n    from a import b\n"
     assert hides_imports(hidden)
     assert not hides_imports(hidden.replace("from a import b", "x = 1"))

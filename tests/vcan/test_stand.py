@@ -12,7 +12,7 @@ import pytest
 from patience import HANG_S, Patience, until
 from vcan_bench import LOOK_S, SPEED, VCAN, Command, meshpoint
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.firmware.board import Firmware
 from meshpoint.testbench.firmware.boards import board_of

@@ -70,7 +70,7 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
 
 def _load_kernels() -> None:
     """Once for all: each process that is forked has them."""
-    from meshpoint.controller.warm_up import warm_up
+    from meshpoint.controller.run.warm_up import warm_up
     from meshpoint.gearbox import load_sheet
     from meshpoint.rig_sim.presets import build_world
     from meshpoint.rig_sim.settings import RigSettings

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.settings import SettingsFile
+from meshpoint.controller.settings.learned import Calibration
+from meshpoint.controller.settings.settings import SettingsFile
 from meshpoint.controller.xcp.measured import (
     FIGURE_BYTES,
     LEARNED,

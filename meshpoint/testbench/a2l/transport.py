@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from meshpoint.controller.settings import Timing
+from meshpoint.controller.settings.settings import Timing
 from meshpoint.controller.xcp.daq import Event
 from meshpoint.controller.xcp.parameters import PAGE_BYTES, Page
 from meshpoint.controller.xcp.protocol import FD_BYTES, VERSION, Command

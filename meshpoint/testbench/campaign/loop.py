@@ -13,10 +13,10 @@ from dataclasses import replace
 from typing import Any, Final
 
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.learned import Calibration
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.planning.strategies.table import AIMING
-from meshpoint.controller.settings import STRATEGY_NAMES, ControllerSettings
-from meshpoint.controller.strategy_file import StrategyFile
+from meshpoint.controller.plan.strategies.table import AIMING
+from meshpoint.controller.settings.settings import STRATEGY_NAMES, ControllerSettings
+from meshpoint.controller.settings.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import Rule, TableError
 from meshpoint.rig_sim.settings import Preset

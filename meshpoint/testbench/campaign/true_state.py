@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.motion.models import LayshaftState, first_order_law
-from meshpoint.controller.motion.swing import ShaftState
-from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
+from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.models.models import LayshaftState, first_order_law
+from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.plan.gear_predictor import GearPredictor, Trajectory
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import raw_phase_rad
 from meshpoint.kernels.records import Vector

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from meshpoint.controller.valve_name import energised
+from meshpoint.controller.settings.valve_name import energised
 from meshpoint.dbc.messages import (
     EEC1,
     GearboxSensors,

@@ -14,7 +14,7 @@ from enum import StrEnum
 from fractions import Fraction
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.dbc.messages import (
     EdgesInputFall,
     EdgesInputRise,

@@ -12,7 +12,7 @@ from enum import Enum, auto
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     ClutchCommand,

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.controller.calibration.learned import (
+from meshpoint.controller.settings.learned import (
     CALIBRATION_FORMAT,
     Calibration,
     End,

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.bus.core import AroundCore, Core, Step
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter

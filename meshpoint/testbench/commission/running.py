@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import checked_request
 from meshpoint.dbc.link import Transmitter

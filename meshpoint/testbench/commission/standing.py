@@ -7,7 +7,7 @@ import math
 from statistics import median
 from typing import Final
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.check.finding import Finding, Verdict

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
-from meshpoint.controller.valve_name import ValveName, energised
+from meshpoint.controller.settings.valve_name import ValveName, energised
 from meshpoint.dbc.messages import GearboxSensors, Message, SleevesAux, SleevesMain, ValveStatus
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.results.road_speed import span_us

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import combinations
 from typing import Final
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import (

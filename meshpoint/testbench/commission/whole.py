@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.node import Node

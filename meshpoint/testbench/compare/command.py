@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files, read_logs
-from meshpoint.controller.settings import load_settings
+from meshpoint.controller.settings.settings import load_settings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox.reading import UnreadableError, read_text
 from meshpoint.testbench.compare.decisions import (

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from meshpoint.bus.logs.files import log_files
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import load_settings
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import load_settings
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.command_line.interrupt import interruptible
 from meshpoint.testbench.command_line.log_progress import logged_frames

@@ -19,7 +19,7 @@ from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.logs.reader import LogError, read_log
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.header import new_header
+from meshpoint.controller.settings.header import new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.command_line import arguments

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from meshpoint.controller.valve_name import ValveName
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import torque_parts
 from meshpoint.dbc.layout import CODECS

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
-from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.command_line.parsing import subparsers

@@ -25,7 +25,7 @@ from meshpoint.bus.simulated.contract_traffic import (
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.bus.simulated.frame_bits import BitTiming
 from meshpoint.bus.simulated.response_time import load, worst_response_ns
-from meshpoint.controller.settings import SettingsFile
+from meshpoint.controller.settings.settings import SettingsFile
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, rounded

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.logs.reader import LogError
-from meshpoint.controller.header import header_name
+from meshpoint.controller.settings.header import header_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import DEFAULT_PRESET

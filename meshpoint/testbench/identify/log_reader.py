@@ -10,13 +10,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch, WheelEdges
+from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.wheel_edges import EdgeBatch, WheelEdges
+from meshpoint.controller.settings.valve_name import SLEEVE_VALVE
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.tracked import Contact
-from meshpoint.controller.valve_name import SLEEVE_VALVE
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (

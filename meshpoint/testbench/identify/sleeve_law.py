@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from meshpoint.controller.estimation.figure import Estimate
+from meshpoint.controller.estimate.figure import Estimate
 from meshpoint.controller.sleeve.law_figures import LawFigures
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear

@@ -24,7 +24,7 @@ from meshpoint.bus.options import (
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.bus.statistics import NodeStatistics
-from meshpoint.controller.header import RunHeader, new_header
+from meshpoint.controller.settings.header import RunHeader, new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import MAX_MAIN_SPEED_RPM, Preset, RigSettings
@@ -139,8 +139,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
-    from meshpoint.controller.node import run_controller
-    from meshpoint.controller.only_one import OtherControllerError
+    from meshpoint.controller.run.node import run_controller
+    from meshpoint.controller.run.only_one import OtherControllerError
 
     if namespace.shadow:
         return run_shadow(namespace)
@@ -196,7 +196,7 @@ def _record_folder(namespace: argparse.Namespace, wire: WireProfile) -> Path | N
 def run_shadow(namespace: argparse.Namespace) -> int:
     """A controller that only watches, until a signal."""
     from meshpoint.bus.driver import run_node
-    from meshpoint.controller.warm_up import warm_up
+    from meshpoint.controller.run.warm_up import warm_up
     from meshpoint.testbench.open_loop.shadow import ShadowCore
 
     for name in ("arm", "keys", "calibration", "diagnosis", "xcp"):

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone

@@ -26,8 +26,8 @@ from meshpoint.bus.classic.step_record import (
 )
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
-from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.header import HeaderError, RunHeader, run_hash_of
+from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.settings.header import HeaderError, RunHeader, run_hash_of
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS, COUNTER_BYTE, COUNTER_MASK, LENGTH
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import group_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.core import OWN_ADDRESS
+from meshpoint.controller.core.core import OWN_ADDRESS
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS

@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from meshpoint.controller.header import HeaderError, RunHeader, load_header, run_hash_of
+from meshpoint.controller.settings.header import HeaderError, RunHeader, load_header, run_hash_of
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone

@@ -15,7 +15,7 @@ from meshpoint.bus.driver import OpenBus
 from meshpoint.bus.logs.files import RotatingLog, open_log
 from meshpoint.bus.logs.reader import LogError
 from meshpoint.bus.logs.recorder import LogWriter, record_bus
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.results.output import folder_for
 

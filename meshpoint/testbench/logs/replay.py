@@ -3,8 +3,9 @@
 A log is enough to repeat a live run byte for byte: each status frame says when its step was, how
 many frames it consumed and their CRC, and which run header it belongs to. `verify` says one of
 three things: identical; differs at step n; not verifiable, and why. Steps of a link outage are not
-in the log: where the controller has kept what they were made of (`controller/outage_record.py`),
-they are repeated from that, and what follows is verified again: identical in parts.
+in the log: where the controller has kept what they were made of
+(`controller/run/outage_record.py`), they are repeated from that, and what follows is verified
+again: identical in parts.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
-from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.header import (
+from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.run.outage_record import OutageError, StepInput, load_outages
+from meshpoint.controller.settings.header import (
     HeaderError,
     RunHeader,
     load_header,
     run_hash_of,
 )
-from meshpoint.controller.outage_record import OutageError, StepInput, load_outages
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader
 
 
 class Verification(Enum):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.dbc.messages import Message, SleevesAux, SleevesMain, ValveStatus
 from meshpoint.dbc.sensor_time import wrap
 from meshpoint.gearbox import GearboxSheet

@@ -144,7 +144,7 @@ def _warm_up(progress: Progress, baselines: bool) -> None:
     before = WATCH.compiling
     WATCH.compiling = progress.count
     try:
-        from meshpoint.controller.warm_up import warm_up
+        from meshpoint.controller.run.warm_up import warm_up
 
         warm_up(baselines)
     finally:
@@ -224,7 +224,7 @@ def _tell_lines() -> None:
 def _load(part: str) -> None:
     """A part of the kernels, loaded here or compiled; with the rig's those by which the truck's
     true future is looked up."""
-    from meshpoint.controller.warm_up import warm_up_estimation, warm_up_sensing
+    from meshpoint.controller.run.warm_up import warm_up_estimation, warm_up_sensing
     from meshpoint.gearbox import load_sheet
     from meshpoint.rig_sim.presets import warm_up
     from meshpoint.rig_sim.settings import Preset

@@ -29,9 +29,9 @@ from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.slowness import times_slower
-from meshpoint.controller import node as controller_node
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.node import run_controller
+from meshpoint.controller.run import node as controller_node
+from meshpoint.controller.run.node import run_controller
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim import node as rig_node
 from meshpoint.rig_sim.node import run_rig

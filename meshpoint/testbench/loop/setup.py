@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.simulated.core import QueueOrder
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.header import RunHeader, new_header
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.header import RunHeader, new_header
+from meshpoint.controller.settings.learned import Calibration
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import (

@@ -10,10 +10,10 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from meshpoint.controller.calibration.file import read_file
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings, load_settings
-from meshpoint.controller.strategy_file import StrategyFile
+from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ControllerSettings, load_settings
+from meshpoint.controller.settings.strategy_file import StrategyFile
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import key_of, load_toml
 from meshpoint.testbench.logs.consumed import NotVerifiableError

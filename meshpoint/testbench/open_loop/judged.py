@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult
 from meshpoint.gearbox.gears import DRIVE_GEARS

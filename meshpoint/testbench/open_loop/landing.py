@@ -19,15 +19,15 @@ from typing import Final, cast
 
 import numpy as np
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.estimation.brake_model import PARAMETERS, BrakeModel
-from meshpoint.controller.estimation.layshaft import LayshaftTracker
-from meshpoint.controller.estimation.touch_and_lag import uncorrelated
-from meshpoint.controller.motion.kernels import GAIN
-from meshpoint.controller.motion.models import LayshaftState, MotionModel
-from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.estimate.brake_model import PARAMETERS, BrakeModel
+from meshpoint.controller.estimate.layshaft import LayshaftTracker
+from meshpoint.controller.estimate.touch_and_lag import uncorrelated
+from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.models.kernels import GAIN
+from meshpoint.controller.models.models import LayshaftState, MotionModel
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import slip_rad_s, wrap_to_pitch
@@ -64,7 +64,7 @@ TRACE_US: Final = 5_000
 LONGEST_US: Final = 700_000
 """From the parting; a model is trusted no further."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
-"""Of a reference learned in mesh, as `controller.phase.reference_recovery` has it."""
+"""Of a reference learned in mesh, as `controller.estimate.phase.reference_recovery` has it."""
 GAIN_SD: Final = 0.01
 """Of the brake's gain between two moments of a shift, beside what the filter claims: discs warm."""
 MOST_SD_SHARE: Final = 0.125

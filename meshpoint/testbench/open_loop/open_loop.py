@@ -13,11 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.follower import Follower
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.core.follower import Follower
+from meshpoint.controller.estimate.brake_model import BrakeModel
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerState, ControllerStatus

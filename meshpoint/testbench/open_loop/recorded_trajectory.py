@@ -12,15 +12,15 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import Final, NamedTuple
 
-from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.models import (
+from meshpoint.controller.estimate.brake_model import BrakeModel
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.models import (
     LayshaftState,
     MotionModel,
     predict,
     predict_spread,
 )
-from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.kernels.records import Vector

@@ -13,8 +13,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
 
-from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS

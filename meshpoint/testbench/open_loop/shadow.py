@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.node import Node

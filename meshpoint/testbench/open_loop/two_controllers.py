@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.core.core import ControllerCore
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.testbench.logs.log_difference import differing_messages, known_in

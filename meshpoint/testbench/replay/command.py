@@ -18,8 +18,8 @@ from meshpoint.bus.light_can import load_can
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.reader import LogError
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ESTIMATOR_NAMES, load_settings
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.settings import ESTIMATOR_NAMES, load_settings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.command_line import arguments

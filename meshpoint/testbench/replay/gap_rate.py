@@ -9,7 +9,7 @@ from typing import Final
 
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.node import Node

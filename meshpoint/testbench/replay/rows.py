@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.controller.header import new_header
-from meshpoint.controller.settings import load_settings
+from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.settings import load_settings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.command_line import arguments

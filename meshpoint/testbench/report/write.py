@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet

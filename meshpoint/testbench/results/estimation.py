@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.models import LayshaftState
-from meshpoint.controller.observer import Observer
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.settings import ESTIMATOR_NAMES, ControllerSettings
+from meshpoint.controller.estimate.observer import Observer
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.settings.settings import ESTIMATOR_NAMES, ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,

@@ -15,7 +15,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from meshpoint.controller.strategy_file import is_file_name
+from meshpoint.controller.settings.strategy_file import is_file_name
 from meshpoint.gearbox.plain_text import plain
 from meshpoint.testbench.errors import CommandError, unwritten
 

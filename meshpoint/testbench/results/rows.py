@@ -9,9 +9,9 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.planning.strategies.table import AIMING
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.strategy_file import is_file_name
+from meshpoint.controller.plan.strategies.table import AIMING
+from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.strategy_file import is_file_name
 from meshpoint.dbc.messages import (
     EngagementEvent,
     MainGear,

@@ -9,8 +9,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from meshpoint.controller.calibration.file import read_file
-from meshpoint.controller.calibration.learned import BrakeRecord, Calibration, WheelRecord
+from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.settings.learned import BrakeRecord, Calibration, WheelRecord
 from meshpoint.controller.sleeve.contact_chance import PRIOR_SAMPLES
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS

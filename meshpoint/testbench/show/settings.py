@@ -8,7 +8,7 @@ import sys
 import textwrap
 from typing import Any, Final
 
-from meshpoint.controller.settings import SettingsFile
+from meshpoint.controller.settings.settings import SettingsFile
 from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded, to_toml
 from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError

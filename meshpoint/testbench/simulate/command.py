@@ -14,8 +14,8 @@ from meshpoint.bus import given_numbers
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.silkit.library import REGISTRY
 from meshpoint.bus.simulated.core import QueueOrder
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
+from meshpoint.controller.run.calibration_keeper import CalibrationWriter, Keep
+from meshpoint.controller.settings.learned import Calibration
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.table import NEUTRAL_WANTED
-from meshpoint.controller.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (

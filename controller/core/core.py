@@ -1,0 +1,502 @@
+"""The controller without I/O: frames in, frames out, with the whole decision in one function.
+
+    receive(frame)      keeps the frame for the next step; never raises
+    step(now_us)        the whole decision: edges -> observer -> predictor -> sequence -> valves
+    next_step_us        when to be called again
+
+A frame takes effect at the step that consumes it. Frames of one step are taken in order of
+identifier, so the order in which different senders got onto the bus changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Collection
+from dataclasses import replace
+from operator import itemgetter
+from typing import Final, NamedTuple
+
+from meshpoint.bus.core import Step
+from meshpoint.controller.core.carry_over import Learned, collect, restore
+from meshpoint.controller.core.follower import Follower
+from meshpoint.controller.core.log_lines import decision_line, outcome_line
+from meshpoint.controller.core.reporter import Reporter
+from meshpoint.controller.estimate.observer import Observer
+from meshpoint.controller.guard.driveline import DrivelineGuard
+from meshpoint.controller.guard.limits import guard_limits
+from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.guard.view import GuardInputs, GuardView
+from meshpoint.controller.measure.clock_probe import ClockProbe
+from meshpoint.controller.measure.refused_lead import RefusedLead
+from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.step_timing import StepTiming
+from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.learned import Calibration
+from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
+from meshpoint.controller.settings.strategy_file import StrategyError
+from meshpoint.controller.settings.valve_name import driven_or_pending
+from meshpoint.controller.settings.xcp_access import XcpAccess
+from meshpoint.controller.shift.context import PredictorSource
+from meshpoint.controller.shift.sequence import ShiftSequence
+from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
+from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.xcp.measured import SLEEVES, StepFacts
+from meshpoint.controller.xcp.node import XcpNode
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import (
+    XCP_COMMAND_ID,
+    canonical,
+    checked_request,
+    torque_parts,
+    torque_share,
+)
+from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
+from meshpoint.dbc.messages import (
+    EEC1,
+    TSC1,
+    ClutchCommand,
+    EdgesLayshaftRise,
+    EdgesMainRise,
+    FaultCode,
+    GearboxSensors,
+    Message,
+    ShiftDecision,
+    SleevesAux,
+    SleevesMain,
+    TscOverrideMode,
+    ValveCommand,
+    ValveStatus,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import MainGear
+
+OWN_ADDRESS: Final = 0x03
+INBOX_LIMIT: Final = 20_000
+"""Frames kept between two steps, at most: two seconds of a full bus. It bounds the memory."""
+FOREIGN: Final = FrameVerdict.FOREIGN
+_identifier = itemgetter(0)
+FRESH_US: Final = 45_000
+"""A sample older than this counts as lost, even if frames with valid counters repeat it."""
+FRAME_WAIT_US: Final = 8_000
+"""A step's last frames may wait for this long behind the sensors' frames for the bus."""
+UNARMED: Final = (
+    "outputs not armed: all valves stay off, clutch and engine are not commanded, requests are "
+    "refused (--arm)"
+)
+"""Logged once, at the first step."""
+SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
+POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
+"""Channels without which nothing may be shifted; and the valve side's own status."""
+SHAFTS: Final = ("input shaft", "layshaft", "main shaft", "propeller shaft")
+
+
+class Consumed(NamedTuple):
+    """What a step consumed: number of frames of our DBC and the CRC-32 over them."""
+
+    frames: int
+    crc: int
+
+
+class ControllerCore:
+    """The node under test, without clock and bus."""
+
+    def __init__(self, header: RunHeader) -> None:
+        sheet, settings = header.sheet, header.settings
+        self.header = header
+        self._settings = settings
+        self._inbox: list[Frame] = []
+        self._heard: list[Frame] = []
+        self._dropped = 0
+        self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
+        self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
+        brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
+        self._observer = Observer(sheet, settings, brake, settings.estimator)
+        timing = ValveTiming(settings.valve_timing)
+        self._board = ValveBoard(timing)
+        self._probe = ClockProbe()
+        self._refused = RefusedLead(settings.timing.tick_us)
+        self._timing = StepTiming(settings.timing.tick_us)
+        self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
+        self._sequence = ShiftSequence(
+            sheet, settings, self._board, brake, self._observer.references, header.armed
+        )
+        self._speeds = ShaftSpeeds(sheet)
+        limits = guard_limits(sheet, settings)
+        self._guard = Guard(limits, header.armed)
+        self._driveline_guard = DrivelineGuard(limits)
+        self._guard_view = GuardView(sheet, limits)
+        self._in_doubt: tuple[int, ...] = ()
+        """Shafts whose speed wheels the guard has found contradicted."""
+        self._engine_asked = False
+        self._engine_requests = 0
+        self._decided = ShiftDecision.NONE
+        self._reporter = Reporter(header, self._observer, self._sequence)
+        self._xcp: XcpNode | None = None
+        if header.xcp is not XcpAccess.OFF:
+            self._xcp = XcpNode(header.version, settings, header.xcp)
+        self._due_us: int | None = None
+        self._wake_us: int | None = None
+        self.snapshot: StepSnapshot | None = None
+        """The inputs of the newest decision; read-only. Estimates in it are live."""
+        self.shifts = 0
+        """How many shifts have ended since the start."""
+        self.strategy_errors: dict[str, int] = {}
+        """What was wrong with a user's strategy, and how many shifts ended of it."""
+        if header.calibration is not None:
+            restore(header.calibration, self._observer, self._sequence.sleeves)
+
+    @property
+    def knows(self) -> tuple[int, int, int]:
+        """Changes when there is more to keep: shifts that have ended, what has been learned from
+        them, references that are known."""
+        return self.shifts, self._observer.learned, self._observer.references.mask
+
+    @property
+    def running_shift(self) -> ShiftRecord | None:
+        """The shift under way, or the one that this step has ended; read-only."""
+        return self._sequence.shift or self._sequence.finished
+
+    @property
+    def sequence(self) -> ShiftSequence:
+        """The shift sequence; read-only."""
+        return self._sequence
+
+    @property
+    def observer(self) -> Observer:
+        """The estimates; read-only."""
+        return self._observer
+
+    def calibration(self, written: str) -> Calibration:
+        """What has been learned, earlier runs included; written: date and time as text for the
+        file."""
+        return collect(self._learned, self._sequence.sleeves, written)
+
+    @property
+    def _learned(self) -> Learned:
+        return Learned(self.header, self._observer, self._sequence, self.shifts)
+
+    def change_settings(self, settings: ControllerSettings) -> None:
+        """Other engagement settings from the next step on; what was learned stays. Call it between
+        shifts; the estimators keep the settings they were built with. The run hash changes."""
+        self.header = replace(self.header, settings=settings)
+        self._settings = settings
+        self._sequence.change_settings(settings)
+        self._reporter.change_header(self.header)
+
+    def engaged_by_another(self, gear: MainGear) -> None:
+        """This gear was engaged, but not by this controller: its reference is learned from how
+        its tooth moves alone. For replays of another controller's log."""
+        self._observer.references.locked(gear, 0.0)
+
+    def estimate_by(self, follower: Follower) -> None:
+        """Goes on with a follower's estimates, data sheet and settings: it is this controller's
+        from here on. The guard stays the one of the own data sheet."""
+        self.header, sequence = follower.header, self._sequence
+        self._settings, self._speeds = follower.header.settings, follower.speeds
+        self._observer = follower.observer
+        sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
+        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
+        sequence.change_settings(self._settings)
+        self._reporter = Reporter(self.header, self._observer, sequence)
+
+    def take_predictor_from(self, source: PredictorSource) -> None:
+        """From now on decisions use this source's predictions instead of the estimates. For studies
+        of what a strategy could do with perfect knowledge."""
+        self._sequence.predictor_source = source
+
+    def leave_unread(self, messages: Collection[type[Message]]) -> None:
+        """Nobody on this bus reads these messages: of those that take time to work out, empty
+        frames are sent."""
+        self._transmitter.leave_unread(messages)
+
+    def receive(self, frame: Frame) -> None:
+        """Keeps a frame for the next step."""
+        frame = canonical(frame)
+        if self._probe.is_armed:
+            self._probe.receive(frame)
+        if len(self._inbox) < INBOX_LIMIT:
+            self._inbox.append(frame)
+        else:
+            self._dropped += 1
+
+    @property
+    def next_step_us(self) -> int:
+        """The next tick, or an activation for hardware that cannot schedule; 0 before the first."""
+        if self._due_us is None or self._probe.is_due:
+            return 0
+        return self._due_us if self._wake_us is None else min(self._due_us, self._wake_us)
+
+    def step(self, now_us: int) -> Step:
+        """The whole decision at `now_us` of the controller's clock."""
+        lateness_us = self._lateness_us(now_us)
+        events: list[str] = [UNARMED] if self._due_us is None and not self._guard.is_armed else []
+        inputs, consumed = self._consume(now_us, events)
+        read_us = self._probe.stamp(inputs, now_us)
+        if self._refused.take(inputs.valve_status, now_us):
+            self._probe.repeat()
+        if read_us is not None:
+            self._observer.clock.stamp(read_us, now_us)
+        self._observer.take(inputs, now_us, events)
+        self._speeds.take(inputs, self._observer.clock.now_us(now_us))
+        newest_engine = inputs.engine[-1] if inputs.engine else None
+        snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
+        take = self._timing.take if self._is_tick(now_us) else self._timing.between
+        take(inputs, snapshot.now_us)
+        self._decide(inputs.requested_gear, snapshot, events)
+        self._observer.learn(events)
+        frames = self._commands(now_us, snapshot, events)
+        frames += self._reporter.frames(self._transmitter, snapshot)
+        blocks = self._guard.blocks + self._driveline_guard.blocks
+        status = self._reporter.status(
+            now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, blocks
+        )
+        frames.append(self._transmitter.encode(status))
+        if self._xcp is not None:
+            frames += self._answer(self._xcp, frames, snapshot, events)
+        # In order of bus priority; the status frame comes last and completes the step.
+        frames.sort(key=_identifier)
+        self._plan_next_step(now_us, snapshot.now_us)
+        return Step(frames, events)
+
+    def shutdown(self, now_us: int) -> Step:
+        """The last frames: all valves off. What is left to be learned is learned at once."""
+        self._board.all_off()
+        frames = [self._transmitter.encode(ValveCommand())]
+        if self._guard.is_armed:
+            frames.append(self._transmitter.encode(ClutchCommand()))
+        self._observer.finish_learning()
+        return Step(frames, [f"valves off at {now_us} us"])
+
+    def _lateness_us(self, now_us: int) -> int:
+        """Delay of this step after the time it was due (us); 0 for a probe of the clock."""
+        if self._due_us is None or self._probe.is_due:
+            return 0
+        return max(0, now_us - self.next_step_us)
+
+    def _consume(self, now_us: int, events: list[str]) -> tuple[StepInputs, Consumed]:
+        """Decodes the inbox in order of identifier."""
+        self._receiver.tick(now_us)
+        inputs = StepInputs()
+        consumed: list[bytes] = []
+        self._heard = heard = []
+        inbox, self._inbox = sorted(self._inbox, key=_identifier), []
+        receive = self._receiver.receive
+        for frame in inbox:
+            can_id = frame[0]
+            if can_id & 0xFF == OWN_ADDRESS and frame.is_extended:
+                continue
+            if can_id == XCP_COMMAND_ID:
+                consumed += (can_id.to_bytes(4, "little"), frame[1])
+                if self._xcp is not None:
+                    self._xcp.receive(frame)
+                continue
+            heard.append(frame)
+            verdict, message = receive(frame)
+            if verdict is not FOREIGN:
+                consumed += (can_id.to_bytes(4, "little"), frame[1])
+            if message is not None:
+                inputs.take(message)
+        if self._dropped:
+            events.append(f"{self._dropped} frames dropped: more than {INBOX_LIMIT} in one step")
+            self._dropped = 0
+        return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
+
+    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
+        observer = self._observer
+        sensor_us = observer.clock.now_us(now_us)
+        torque = torque_share(None, None)
+        if engine is not None:
+            fine = engine.actual_engine_torque_fine_fraction
+            torque = torque_share(engine.actual_engine_torque_fraction, fine)
+        return StepSnapshot(
+            sensor_us,
+            sensor_us + self._lead_us,
+            observer.view,
+            observer.layshaft,
+            observer.main_at(sensor_us),
+            self._speeds,
+            self._lost(sensor_us),
+            driven_or_pending(observer.valves),
+            observer.view.supply_pa,
+            None if engine is None else engine.engine_speed_rad_s,
+            *torque,
+            is_self_tested=self._guard.is_proven,
+            more_lead_us=self._refused.more_us,
+            loaded=observer.loaded,
+        )
+
+    @property
+    def _lead_us(self) -> int:
+        """The least lead of an activation; a step's own frames must be through before the moment of
+        a command that cannot be scheduled."""
+        lead_us = self._settings.timing.lead_us + self._refused.more_us
+        return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
+
+    def _lost(self, sensor_us: int) -> FaultCode:
+        """The most serious fault among inputs that a shift needs and that are missing or
+        contradicted; NONE if all are there."""
+        receiver, view = self._receiver, self._observer.view
+        if (
+            not (view.complete and receiver.all_valid(POSITIONS))
+            or sensor_us - view.oldest_us > FRESH_US
+        ):
+            return FaultCode.POSITION_STALE
+        if self._in_doubt:
+            is_one = len(self._in_doubt) == 1
+            return WHEEL_FAULTS[self._in_doubt[0]] if is_one else FaultCode.WHEELS_DISAGREE
+        if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted():
+            return FaultCode.SPEED_STALE
+        return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
+
+    def _turns_as_wanted(self) -> bool:
+        """Whether the speeds are known that a shift needs. In neutral, a splitter that stands
+        between its steps leaves the layshaft to itself, and it stops: to bring the step in, no
+        speed of it is needed; the propeller's says how fast the new gear would be."""
+        speeds, view, tracker = self._speeds, self._observer.view, self._observer.layshaft
+        if view.main_gear is MainGear.NEUTRAL and None in (view.split, view.range_):
+            return speeds.propeller is not None
+        if tracker.free and not tracker.latest().is_finite:
+            return False
+        return speeds.layshaft is not None and speeds.main is not None
+
+    def _decide(self, requested: int | None, snapshot: StepSnapshot, events: list[str]) -> None:
+        sequence = self._sequence
+        before = sequence.state
+        refusal = sequence.request(requested, snapshot) if requested is not None else None
+        if refusal is not None:
+            events.append(refusal)
+            return
+        sequence.step(snapshot)
+        self._log_decision(snapshot, events)
+        if sequence.strategy_error is not None:
+            line = sequence.strategy_error
+            self.strategy_errors[line] = self.strategy_errors.get(line, 0) + 1
+            events.append(f"own strategy: {line}")
+        if sequence.state is not before:
+            events.append(f"{before.name.lower()} -> {sequence.state.name.lower()}")
+        if sequence.finished is not None:
+            self.shifts += 1
+            events.append(outcome_line(sequence.finished))
+
+    def _log_decision(self, snapshot: StepSnapshot, events: list[str]) -> None:
+        """A log line if the decision differs from the one before."""
+        plan = self._sequence.decision
+        decided = ShiftDecision.NONE if plan is None else plan.decision
+        if plan is not None and decided is not self._decided:
+            line = decision_line(plan, snapshot.now_us)
+            events += [] if line is None else [line]
+        self._decided = decided
+
+    def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
+        """Valve, clutch and engine commands; the valve frame goes out only past the guard. A
+        controller that is not armed sends all valves off, and nothing to clutch and engine."""
+        guard, sequence = self._guard, self._sequence
+        frame = self._transmitter.encode(self._board.message(snapshot.now_us + self._ahead_us))
+        seen = self._guard_view.take(self._heard, now_us, snapshot.now_us)
+        self._note_wheels(seen.in_doubt, events)
+        if not guard.passes(frame.data, seen):
+            events.append(f"guard blocked a valve command: row {guard.blocked_row}")
+            sequence.blocked(guard.blocked_row or 0, snapshot)
+            frame = self._transmitter.instead(ValveCommand())
+        sequence.tell_sleeves(snapshot.now_us)
+        if not guard.is_armed:
+            return [frame]
+        return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]
+
+    def _note_wheels(self, in_doubt: tuple[int, ...], events: list[str]) -> None:
+        """What the guard's counts say of the speed wheels; the next step acts on it."""
+        if in_doubt != self._in_doubt:
+            names = " or ".join(SHAFTS[shaft] for shaft in in_doubt)
+            events.append(
+                f"speed wheel reads wrong: {names}" if names else "speed wheels agree again"
+            )
+        self._in_doubt = in_doubt
+
+    def _clutch_command(self, seen: GuardInputs, events: list[str]) -> Frame:
+        """What the sequence wants of the clutch; open where the guard forbids to close."""
+        frame = self._transmitter.encode(ClutchCommand(action=self._sequence.clutch))
+        driveline, before = self._driveline_guard, self._sequence.closing_blocked
+        passes = driveline.passes_clutch(frame.data, seen)
+        self._sequence.closing_blocked = not passes
+        if passes:
+            return frame
+        if not before:  # it may go on for seconds
+            events.append(f"guard keeps the clutch open: row {driveline.blocked_row}")
+        return self._transmitter.instead(ClutchCommand())
+
+    def _engine_request(self, seen: GuardInputs, events: list[str]) -> list[Frame]:
+        """TSC1 while the engine is asked for a speed or a torque, and once more to end it; its end
+        where the guard forbids it."""
+        wanted, share = self._sequence.engine_rad_s, self._sequence.engine_share
+        asked, self._engine_asked = self._engine_asked, (wanted, share) != (None, None)
+        if not self._engine_asked:
+            return [self._checked(TSC1())] if asked else []
+        speed, torque = TscOverrideMode.SPEED_CONTROL, TscOverrideMode.TORQUE_CONTROL
+        whole = fine = None
+        if wanted is None and share is not None:
+            whole, fine = torque_parts(share)
+        request = TSC1(
+            override_control_mode=torque if wanted is None else speed,
+            requested_speed_rad_s=wanted,
+            requested_torque_fraction=whole,
+            requested_torque_fine_fraction=fine,
+        )
+        frame, driveline = self._checked(request), self._driveline_guard
+        if not driveline.passes_engine(frame.data, seen):
+            events.append(f"guard blocked an engine request: row {driveline.blocked_row}")
+            self._engine_requests -= 1  # the blocked one was not sent
+            frame = self._checked(TSC1())
+        return [frame]
+
+    def _checked(self, request: TSC1) -> Frame:
+        """The next TSC1 frame, with its counter and checksum."""
+        frame = checked_request(self._transmitter.encode(request), self._engine_requests)
+        self._engine_requests += 1
+        return frame
+
+    def _answer(
+        self, xcp: XcpNode, frames: list[Frame], snapshot: StepSnapshot, events: list[str]
+    ) -> list[Frame]:
+        """What an XCP master gets after this step. Settings that it has changed are used from the
+        next step on, unless a shift runs: then once it has ended."""
+        sequence, tracks = self._sequence, snapshot.view.tracks
+        facts = StepFacts(
+            tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
+            self._guard.blocked_row or 0,
+            lambda: self._learned,
+        )
+        ended = sequence.finished is not None
+        answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)
+        events += lines
+        change = xcp.take_change() if sequence.shift is None else None
+        if change is not None:
+            self._settings, words = change
+            events.append(f"XCP: {words}")
+            try:
+                sequence.change_settings(self._settings)
+            except StrategyError as error:  # a user's own, made anew from the settings
+                events.append(f"own strategy: {error}")
+        return answers
+
+    def _is_tick(self, now_us: int) -> bool:
+        """Whether a step is a tick's, and not one between for the clock or for a valve."""
+        return self._due_us is None or now_us >= self._due_us
+
+    def _plan_next_step(self, now_us: int, sensor_us: int) -> None:
+        tick_us = self._settings.timing.tick_us
+        due_us = self._due_us if self._due_us is not None else now_us
+        if self._is_tick(now_us):
+            due_us += tick_us * (1 + (now_us - due_us) // tick_us)
+            due_us = max(now_us + 1, due_us - self._timing.sooner_us)
+        sent_us = sensor_us + self._ahead_us
+        switch_us = self._board.next_switch_us(sent_us)
+        self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)
+        if self._wake_us is not None and due_us < self._wake_us < due_us + FRAME_WAIT_US:
+            # The tick's own frames would still stand before the command: leave this one out.
+            due_us += tick_us
+        self._due_us = due_us
+        self._probe.plan(now_us, self._wake_us)

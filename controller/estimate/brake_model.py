@@ -1,0 +1,268 @@
+"""Brake and drag as learned from shift to shift: gain, drag, touch, pressure law, delays.
+
+The brake's torque is gain x C_db x (p - p_touch) once its pads touch. The filter therefore uses the
+pressure above p_touch, which is never negative.
+
+The pressure law is p' = f_u(p), piecewise linear between knots at shares of the supply pressure, so
+that it can describe a first-order valve (thesis 4.1) as well as one with choked flow (ISO 6358).
+Each knot's rate is that of the data sheet times e^s; the s and both valve delays are fitted to the
+pressure measured over a shift, by Gauss-Newton with what is known already as the prior: an extended
+Kalman filter whose steps are shifts.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.estimate.brake_kernels import pressure_trajectory
+from meshpoint.controller.estimate.crossing_filter import Pressures
+from meshpoint.controller.estimate.figure import Estimate
+from meshpoint.controller.estimate.touch_and_lag import TouchAndLag, uncorrelated
+from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.models.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
+from meshpoint.controller.models.models import MotionModel
+from meshpoint.controller.settings.learned import BrakeRecord
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.records import Vector
+from meshpoint.units import US
+
+EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)
+FILLING: Final = (0.0, 0.3, 0.6, 0.85, 1.0)
+"""Knots in shares of the supply pressure. An empty chamber does not empty, a full one not fill: the
+rates at 0 and at 1 are zero."""
+RATES: Final = len(EMPTYING) - 1
+OFF_DELAY, ON_DELAY = 2 * RATES, 2 * RATES + 1
+PARAMETERS: Final = 2 * RATES + 2
+"""Logarithms of the emptying rates at knots 1.., of the filling rates at knots 0.., two delays."""
+OWN_SD: Final = 0.15
+"""By how much a knot's rate differs from what the others let expect, logarithm."""
+LEAST_DELAY_SD_S: Final = 5e-4
+FIT_PA: Final = 0.03e5
+"""Standard deviation of the measured pressure from the fitted law."""
+VARIANCE_GROWTH: Final = 1.1
+"""Variances grow by this from shift to shift: temperatures change."""
+ITERATIONS: Final = 3
+LEAST_SAMPLES: Final = 8
+PROBE: Final = 1e-3
+LEAST_B: Final = 1e-3
+LEAST_SD: Final = 1e-4
+LEAST_SD_S: Final = 1e-6
+"""Least standard deviations taken from a file, so that the covariance has an inverse."""
+STILL: Final = np.array([0.0, 0.0, 1.0])
+QUIET: Final = np.zeros(4)
+"""Rates and noise densities of a shaft at rest: only the pressure is of interest."""
+
+LAG_TOLERANCE: Final = 1.5
+"""Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
+stated."""
+TOUCH_SD_PA: Final = 0.15e5
+
+
+def above_touch(samples: PressureSamples, touch_pa: float, lag_s: float) -> Pressures:
+    """The pressure above that at which the pads touch, in front of the sensor's lag."""
+    time_us, pressure_pa = samples.before_the_lag(lag_s)
+    return Pressures(time_us, np.maximum(pressure_pa - touch_pa, 0.0))
+
+
+class BrakeModel:
+    """What is learned of the path from a brake command to the layshaft's deceleration."""
+
+    def __init__(self, sheet: GearboxSheet, gain_sd: float, drag_sd_nm: float) -> None:
+        self._rate = 1.0 / sheet.brake.time_constant_s
+        self.supply_pa = sheet.air.supply_gauge_pa
+        self.gain = Estimate(1.0, gain_sd)
+        self.drag_nm = Estimate(0.0, drag_sd_nm)
+        lag_s = sheet.air.sensor_lag_s
+        self.touch_and_lag = uncorrelated((0.0, TOUCH_SD_PA), (lag_s, LAG_TOLERANCE * lag_s))
+        delay = sheet.brake.valve_delay_s
+        delay_sd_s = max(sheet.brake.valve_delay_tolerance * delay, LEAST_DELAY_SD_S)
+        self._mean: Vector = np.zeros(PARAMETERS)
+        self._mean[[OFF_DELAY, ON_DELAY]] = delay
+        self._covariance = np.diag([OWN_SD**2] * 2 * RATES + [delay_sd_s**2] * 2)
+        for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
+            self._covariance[half, half] += sheet.brake.time_constant_tolerance**2
+        self.shifts = 0
+        """From how many shifts the law was learned."""
+
+    @property
+    def touch_pa(self) -> Estimate:
+        """Gauge pressure at which the pads touch."""
+        known = self.touch_and_lag
+        return Estimate(float(known.mean[0]), float(known.sd[0]))
+
+    @property
+    def sensor_lag_s(self) -> Estimate:
+        """By how much the measured pressure comes late; a sheet without a lag leaves none to be
+        learned."""
+        known = self.touch_and_lag
+        return Estimate(float(known.mean[1]), float(known.sd[1]))
+
+    def carry(self, x: Vector, p: Vector, inertia_kgm2: float) -> None:
+        """Gain and drag as the filter's state (STATES,) and covariance at the end of a run say."""
+        sd = np.sqrt(np.maximum(np.diag(p), 0.0))
+        self.gain = Estimate(float(x[GAIN]), float(sd[GAIN]))
+        self.drag_nm = Estimate(float(x[DRAG]) * inertia_kgm2, float(sd[DRAG]) * inertia_kgm2)
+
+    def take_touch_and_lag(self, found: TouchAndLag) -> None:
+        """What is known of both from now on. The valve's delays were found from pressures that came
+        as late as was believed until now."""
+        sooner_s = found.mean[1] - self.touch_and_lag.mean[1]
+        self.touch_and_lag = found
+        by = np.zeros(PARAMETERS)
+        by[[OFF_DELAY, ON_DELAY]] = -sooner_s
+        self.move_law(by)
+
+    def above_touch(self, samples: PressureSamples) -> Pressures:
+        """The pressure that brakes, by measured ones."""
+        return above_touch(samples, self.touch_pa.value, self.sensor_lag_s.value)
+
+    def record(self) -> BrakeRecord | None:
+        """What a calibration file keeps; None before the first shift it was learned from."""
+        if self.shifts == 0:
+            return None
+        mean, sd = self._mean, np.sqrt(np.diag(self._covariance))
+        factors = np.exp(mean[: 2 * RATES])
+        return BrakeRecord(
+            shifts=self.shifts,
+            gain=self.gain.value,
+            gain_sd=self.gain.sd,
+            drag_nm=self.drag_nm.value,
+            drag_sd_nm=self.drag_nm.sd,
+            touch_pa=self.touch_pa.value,
+            touch_sd_pa=self.touch_pa.sd,
+            sensor_lag_s=self.sensor_lag_s.value,
+            sensor_lag_sd_s=self.sensor_lag_s.sd,
+            emptying=tuple(factors[:RATES].tolist()),
+            emptying_sd=tuple(sd[:RATES].tolist()),
+            filling=tuple(factors[RATES:].tolist()),
+            filling_sd=tuple(sd[RATES : 2 * RATES].tolist()),
+            off_delay_s=float(mean[OFF_DELAY]),
+            off_delay_sd_s=float(sd[OFF_DELAY]),
+            on_delay_s=float(mean[ON_DELAY]),
+            on_delay_sd_s=float(sd[ON_DELAY]),
+        )
+
+    def restore(self, record: BrakeRecord) -> None:
+        """Starts from a record; correlations between its errors are not stored."""
+        self.shifts = record.shifts
+        self.gain = Estimate(record.gain, record.gain_sd)
+        self.drag_nm = Estimate(record.drag_nm, record.drag_sd_nm)
+        self.touch_and_lag = uncorrelated(
+            (record.touch_pa, record.touch_sd_pa), (record.sensor_lag_s, record.sensor_lag_sd_s)
+        )
+        rates = np.log([*record.emptying, *record.filling])
+        self._mean = np.array([*rates, record.off_delay_s, record.on_delay_s])
+        sd = [*record.emptying_sd, *record.filling_sd]
+        delays_sd = np.maximum((record.off_delay_sd_s, record.on_delay_sd_s), LEAST_SD_S)
+        self._covariance = np.diag([*np.maximum(sd, LEAST_SD), *delays_sd]) ** 2
+
+    def varied(self, normal: Vector) -> BrakeModel:
+        """Another brake that is as likely: law and delays moved by `normal` (PARAMETERS,) standard
+        deviations, correlations kept. Gain, drag and touch stay."""
+        other = copy.copy(self)
+        other.move_law(np.linalg.cholesky(self._covariance) @ normal)
+        return other
+
+    def move_law(self, by: Vector) -> None:
+        """Moves rates and delays (PARAMETERS,); a delay is never negative."""
+        self._mean = self._mean + by
+        self._mean[2 * RATES :] = np.maximum(self._mean[2 * RATES :], 0.0)
+
+    @property
+    def off_delay_us(self) -> int:
+        """From switching off to the first fall of the torque."""
+        return round(float(self._mean[OFF_DELAY]) / US)
+
+    @property
+    def on_delay_us(self) -> int:
+        """From switching on to the first torque: the valve's delay, then the fill to the touch."""
+        at_zero = self._rate * self.supply_pa * math.exp(float(self._mean[RATES]))
+        return round((float(self._mean[ON_DELAY]) + self.touch_pa.value / at_zero) / US)
+
+    def law(self, touch_pa: float | None = None) -> Vector:
+        """The law of the pressure above the touch, for `motion_kernels`."""
+        touch = self.touch_pa.value if touch_pa is None else touch_pa
+        whole = self._law(self._mean)
+        law = np.full((2, SEGMENTS, 3), np.inf)
+        law[:, :, 1:] = LEAST_B, 0.0
+        law[:, 1 : RATES + 1] = whole[:, :RATES]
+        law[:, 1 : RATES + 1, 2] -= law[:, 1 : RATES + 1, 1] * touch
+        law[:, 1:, 0] -= touch
+        # Below the touch no torque acts: the pressure stays 0 when emptying, and the segment is
+        # passed at once when filling.
+        law[0, 0] = -np.inf, LEAST_B, 0.0
+        law[0, 1, 0] = 0.0
+        law[1, 0], law[1, 1, 0] = law[1, 1], 0.0
+        law[1, 0, 0] = -np.inf
+        return law
+
+    def _law(self, parameters: Vector) -> Vector:
+        law = np.full((2, SEGMENTS, 3), np.inf)
+        law[:, :, 1:] = 1.0, 0.0
+        k, rate = self.supply_pa, self._rate
+        emptying = [0.0] + [
+            -rate * k * EMPTYING[i] * math.exp(parameters[i - 1]) for i in range(1, RATES + 1)
+        ]
+        filling = [
+            rate * k * (1.0 - FILLING[i]) * math.exp(parameters[RATES + i]) for i in range(RATES)
+        ] + [0.0]
+        for u, (knots, rates) in enumerate(((EMPTYING, emptying), (FILLING, filling))):
+            for i in range(RATES):
+                slope = (rates[i + 1] - rates[i]) / (k * (knots[i + 1] - knots[i]))
+                b = -slope if abs(slope) > LEAST_B else LEAST_B
+                law[u, i] = k * knots[i], b, rates[i] + b * k * knots[i]
+            law[u, 0, 0] = -np.inf
+        return law
+
+    def learn(self, samples: PressureSamples, command_us: Vector, command_u: Vector) -> bool:
+        """Fits law and delays to a shift's pressure samples and the brake's commands.
+
+        Returns False, and learns nothing, with too few samples or if the fit fails."""
+        sample_us, pressure_pa = samples.before_the_lag(self.sensor_lag_s.value)
+        if sample_us.size < LEAST_SAMPLES or command_u.size == 0 or command_u.max() < 1.0:
+            return False
+        prior_mean, prior = self._mean, self._covariance * VARIANCE_GROWTH
+        weight = np.linalg.inv(prior)
+        mean = prior_mean.copy()
+        for _ in range(ITERATIONS):
+            predicted = self._run(mean, sample_us, pressure_pa[0], command_us, command_u)
+            slope = np.empty((sample_us.size, PARAMETERS))
+            for k in range(PARAMETERS):
+                step = PROBE if k < 2 * RATES else 0.1 * PROBE
+                probe = mean.copy()
+                probe[k] += step
+                moved = self._run(probe, sample_us, pressure_pa[0], command_us, command_u)
+                slope[:, k] = (moved - predicted) / step
+            residual = np.clip(pressure_pa - predicted, -20 * FIT_PA, 20 * FIT_PA)
+            normal = slope.T @ slope / FIT_PA**2 + weight
+            right = slope.T @ residual / FIT_PA**2 + weight @ (prior_mean - mean)
+            mean = mean + np.linalg.solve(normal, right)
+            mean[: 2 * RATES] = np.clip(mean[: 2 * RATES], -1.5, 1.5)
+            mean[2 * RATES :] = np.clip(mean[2 * RATES :], 0.0, 0.1)
+        if not np.isfinite(mean).all():
+            return False
+        self._mean, self._covariance = mean, np.linalg.inv(normal)
+        self.shifts += 1
+        return True
+
+    def _run(
+        self,
+        parameters: Vector,
+        sample_us: Vector,
+        start_pa: float,
+        command_us: Vector,
+        command_u: Vector,
+    ) -> Vector:
+        """The pressure at the samples, by the law with these parameters."""
+        delays = parameters[[OFF_DELAY, ON_DELAY]][command_u.astype(np.int64)]
+        switches = np.array((np.maximum.accumulate(command_us + delays / US), command_u))
+        model = MotionModel(STILL, self._law(parameters), QUIET)
+        x = np.zeros(STATES)
+        x[PRESSURE] = start_pa
+        pressure = np.empty(sample_us.size)
+        pressure_trajectory(x, sample_us, switches, model.flat, pressure)
+        return pressure

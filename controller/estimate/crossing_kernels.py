@@ -1,0 +1,301 @@
+"""The crossing-time Kalman filter, and the least squares by which it learns its wheel's teeth.
+
+An edge's angle is exact and its time is noisy, so at the edge's stamp the shaft stands at y =
+theta_k + delta_k with variance (omega sigma_t)^2 + sigma_delta^2: theta_k the nominal angle,
+delta_k the tooth's own error where it is known, sigma_delta what is left of it. Measured brake
+pressure is taken in between, in order of time.
+
+Teeth: over nominal angles the filter's innovations would be white but for the tooth errors e, and
+how each innovation depends on them the filter itself gives: with S the derivatives of the state by
+the errors and m = e_tooth - S[theta], innovation + m e is white. Summed over a window, that is the
+batch least squares for the teeth, in any motion that the filter's model follows, braking included.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.estimate.crossing_layout import (
+    BATCHES_KEPT,
+    DONE,
+    FILTER,
+    LATE,
+    NORMAL,
+    RIGHT,
+    ROW,
+    SNAPSHOT_WORDS,
+    Filter,
+)
+from meshpoint.controller.models.kernels import (
+    DRAG,
+    LONGEST_S,
+    OMEGA,
+    PRESSURE,
+    STATES,
+    THETA,
+    MotionStep,
+    input_at,
+    longest_in_segment,
+    measure,
+    mirror,
+    spread_over,
+    transition,
+)
+from meshpoint.kernels.jit import bare, compiled, inlined, record_on
+from meshpoint.kernels.records import Vector
+from meshpoint.units import US
+
+MOST_IN_A_ROW: Final = 8
+"""After this many refused edges in a row the filter's state is taken to be wrong, not the edges."""
+LEAST_GAIN: Final = 0.2
+SHORT_S: Final = 2e-3
+"""In a shorter step a change of the pressure law's segment is ignored: its fit has larger
+errors."""
+MOST_NOISE_SCALE: Final = 1e4
+"""A hundred times the model's accelerations."""
+MOST_SWINGING: Final = 3
+"""Edges refused in a row by which a shaft swings further than was thought; its modes are known, and
+each edge that is refused costs more of a swing than of a steady trajectory."""
+WIDER: Final = 10.0
+"""A covariance is multiplied by this then."""
+LED_SHARE: Final = 0.2
+LED_RAD_S2: Final = 100.0
+"""Standard deviations added when the filter was wrong: to the speed, as a share of it, and to the
+steady acceleration."""
+
+
+@bare
+def crossing_filter(
+    memory: Vector, edges: Vector, pressure_us: Vector, pressure_pa: Vector, switches: Vector,
+    teeth: Vector,
+) -> int:  # fmt: skip
+    """The filter over a batch of edges and pressure samples, both rising in time, in place.
+
+    memory: a `Filter`; edges (2, n): times and the angles they stand for; switches as in `travel`.
+    To learn teeth: teeth as `TeethArrays` has it, and edges with a third row, which of the wheel's
+    N edges each is; N = 0 otherwise.
+
+    Returns LATE and takes nothing if the batch begins before the state's time and a snapshot is
+    held to go back to; if none is held, edges not later than the state are skipped. Otherwise
+    keeps a snapshot of the state before the batch and returns DONE."""
+    f = record_on(memory, FILTER)
+    edge_us, edge_rad = edges[0], edges[1]
+    n, m = edge_us.shape[0], pressure_us.shape[0]
+    if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
+        return LATE
+    keep(f, SNAPSHOT_WORDS)
+    i, j, k = input_at(f.time_us, switches[0]), 0, 0
+    while k < n or j < m:
+        pressure_is_next = j < m and (k == n or pressure_us[j] < edge_us[k])
+        when_us = pressure_us[j] if pressure_is_next else edge_us[k]
+        late = when_us <= f.time_us
+        if not late:
+            i = move(f, when_us, i, switches, teeth)
+        if pressure_is_next:
+            if not late:
+                take_pressure(f, pressure_pa[j], teeth)
+            j += 1
+        else:
+            if not late:
+                innovation = edge_rad[k] - f.state.theta_rad
+                s = take_edge(f, innovation, STATES, DRAG)
+                if teeth.shape[1] > 0 and s > 0.0:
+                    learn(teeth, int(edges[2, k]), innovation, s)
+                    follow(teeth, f.gain, STATES)
+            k += 1
+        f.state.gain = max(f.state.gain, LEAST_GAIN)
+    mirror(f.p, STATES)
+    return DONE
+
+
+@inlined
+def keep(f: Filter, words: int) -> None:
+    """Copies the present state, of this many words, into the ring of snapshots."""
+    for k in range(words):
+        f.snapshots[f.next, k] = f.snapshot[k]
+    f.next = (f.next + 1) % BATCHES_KEPT
+    f.held = min(f.held + 1, BATCHES_KEPT)
+
+
+@inlined
+def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> int:
+    """State, covariance and tooth derivatives to a time; returns the number of switches passed."""
+    t_us, state, model, step = f.time_us, f.state, f.model, f.step
+    switch_us, switch_u = switches[0], switches[1]
+    while t_us < to_us:
+        u = int(switch_u[i - 1]) if i > 0 else 0
+        until_us = to_us
+        if i < switch_us.shape[0] and switch_us[i] < to_us:
+            until_us = switch_us[i]
+        dt = (until_us - t_us) * US
+        part = dt
+        if dt > SHORT_S:
+            part = min(longest_in_segment(model, u, state.pressure_pa, dt), LONGEST_S)
+        transition(state, part, u, model, step)
+        spread_over(f.p, part, step, model, state.gain, f.noise_scale)
+        if teeth.shape[1] > 0:
+            carry(teeth, step)
+        if part < dt:
+            t_us += part / US
+        else:
+            t_us = until_us
+            if i < switch_us.shape[0] and switch_us[i] <= until_us:
+                i += 1
+    f.time_us = to_us
+    return i
+
+
+@inlined
+def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
+    """One sample of the measured pressure into the filter."""
+    r = f.pressure_sd_pa * f.pressure_sd_pa
+    innovation = pressure_pa - f.state.pressure_pa
+    measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
+    for c in range(teeth.shape[1]):
+        teeth[ROW, c] = -teeth[PRESSURE, c]
+    follow(teeth, f.gain, STATES)
+
+
+@inlined
+def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
+    """One edge into the filter of this many states; returns the innovation's variance, 0 where the
+    gate refused it. led: row of the steady acceleration that an unseen torque changes, or -1:
+    there the whole covariance is widened instead."""
+    p, omega = f.p, f.state.omega_rad_s
+    sigma = omega * f.edge_time_s
+    r = sigma * sigma + f.tooth_rad * f.tooth_rad
+    square = innovation * innovation / (p[THETA, THETA] + r)
+    if f.noise_adaptation > 0.0:
+        surprise = min(square, f.gate_sd * f.gate_sd) - 1.0
+        noise_scale = f.noise_scale * (1.0 + f.noise_adaptation * surprise)
+        f.noise_scale = min(max(noise_scale, 1.0), MOST_NOISE_SCALE)
+    if square > f.gate_sd * f.gate_sd:
+        f.gated_in_a_row += 1
+        if f.gated_in_a_row < (MOST_IN_A_ROW if led >= 0 else MOST_SWINGING):
+            return 0.0
+        # This many refused in a row: the state is wrong, so its covariance is widened.
+        widen(f, innovation, states, led)
+    else:
+        f.squares += square
+        f.count += 1.0
+        f.log_variance += math.log(p[THETA, THETA] + r)
+    f.gated_in_a_row = 0
+    return measure(f.x, p, THETA, innovation, r, f.gain)
+
+
+@inlined
+def widen(f: Filter, innovation: float, states: int, led: int) -> None:
+    """Widens the covariance of a state that has been found wrong."""
+    p, omega = f.p, f.state.omega_rad_s
+    p[THETA, THETA] += innovation * innovation
+    if led >= 0:
+        p[OMEGA, OMEGA] += (LED_SHARE * omega) ** 2
+        p[led, led] += LED_RAD_S2 * LED_RAD_S2
+        return
+    for j in range(states):
+        for k in range(j, states):
+            p[j, k] *= WIDER
+
+
+@inlined
+def learn(teeth: Vector, place: int, innovation: float, s: float) -> None:
+    """Adds one innovation to the teeth's normal equations; ROW becomes its m."""
+    size, row = teeth.shape[1], teeth[ROW]
+    for c in range(size):
+        row[c] = -teeth[THETA, c]
+    row[place] += 1.0
+    for c in range(size):
+        weighted = row[c] / s
+        teeth[RIGHT, c] -= weighted * innovation
+        # Counted from 0 on, several are added at a time: an index from c on might be negative.
+        equation, rest = teeth[NORMAL + c, c:], row[c:]
+        for d in range(rest.shape[0]):
+            equation[d] += weighted * rest[d]
+
+
+@inlined
+def follow(teeth: Vector, gain: Vector, states: int) -> None:
+    """The derivatives by the tooth errors after an update."""
+    for state in range(states):
+        for c in range(teeth.shape[1]):
+            teeth[state, c] += gain[state] * teeth[ROW, c]
+
+
+@inlined
+def carry(teeth: Vector, step: MotionStep) -> None:
+    """The derivatives by the tooth errors after a step; row by row, ROW being free."""
+    size, theta, omega = teeth.shape[1], teeth[THETA], teeth[ROW]
+    for c in range(size):
+        omega[c] = 0.0
+    for k in range(1, STATES):
+        state, theta_by, omega_by = teeth[k], step.theta_by[k], step.omega_by[k]
+        for c in range(size):
+            theta[c] += theta_by * state[c]
+            omega[c] += omega_by * state[c]
+    for c in range(size):
+        teeth[OMEGA, c] = omega[c]
+        teeth[2, c] *= step.pressure_left
+        teeth[3, c] *= step.disturbance_left
+
+
+@compiled
+def cholesky(matrix: Vector) -> Vector:
+    """The lower factor of a symmetric positive definite matrix (n, n); NaN where it is not one. A
+    wheel's equations are small: threads of a linear algebra library would cost more than the sum,
+    and need not add up in the same order twice.
+
+    Column by column, here and below, with the sums of all its elements side by side: each waits for
+    its own last term alone."""
+    n = matrix.shape[0]
+    upper = np.zeros((n, n))
+    for j in range(n):
+        column = upper[j, j:]  # from the diagonal on
+        for i in range(n - j):
+            column[i] = matrix[j + i, j]
+        for k in range(j):
+            factor, before = upper[k, j], upper[k, j:]
+            for i in range(n - j):
+                column[i] -= before[i] * factor
+        if not column[0] > 0.0:
+            return np.full((n, n), np.nan)
+        root = math.sqrt(column[0])
+        for i in range(n - j):
+            column[i] /= root
+        column[0] = root
+    return np.ascontiguousarray(upper.T)
+
+
+@compiled
+def inverse_by_root(lower: Vector) -> Vector:
+    """The inverse of a matrix (n, n) by its lower factor; NaN where it has none."""
+    n = lower.shape[0]
+    if not lower[0, 0] > 0.0:
+        return lower
+    half, inverse = np.zeros((n, n)), np.empty((n, n))
+    for i in range(n):
+        row = half[i]
+        for k in range(i):
+            factor = lower[i, k]
+            for c in range(k + 1):
+                row[c] -= factor * half[k, c]
+        for c in range(i):
+            row[c] /= lower[i, i]
+        row[i] = 1.0 / lower[i, i]
+    sums = np.empty(n)
+    for i in range(n):
+        sums[:] = 0.0
+        for k in range(i, n):
+            factor = half[k, i]
+            for j in range(i + 1):
+                sums[j] += factor * half[k, j]
+        for j in range(i + 1):
+            inverse[i, j] = inverse[j, i] = sums[j]
+    return inverse
+
+
+def inverse_of_positive(matrix: Vector) -> Vector:
+    """The inverse of a symmetric positive definite matrix (n, n); NaN where it is not one."""
+    return inverse_by_root(cholesky(matrix))

@@ -1,0 +1,218 @@
+"""A driveline behind the gearbox: its figures by data sheet and as learned, and its first cloud.
+
+What the data sheet leaves open of a driveline is learned from window to window in neutral: each
+begins with a cloud of particles (`lash_cloud`) that are spread as far as that is not known yet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimate.figure import Figure
+from meshpoint.controller.estimate.halton import even, normal
+from meshpoint.controller.estimate.loaded_driveline import BehindState, Shafts
+from meshpoint.controller.models.lash_motion import (
+    ANGLE,
+    DRAG,
+    HALF,
+    HILL,
+    LOSS,
+    ROWS,
+    SPEED,
+    STIFF,
+    TYRE,
+    TYRE_STIFF,
+    VEHICLE,
+    WAY,
+    WHEELS,
+    LashModel,
+)
+from meshpoint.controller.models.lash_trajectory import Chance
+from meshpoint.gearbox.driveline import Axle
+from meshpoint.kernels.records import Vector
+from meshpoint.units import US
+
+DRIVELINES: Final = 2500
+"""Number of drivelines in a cloud."""
+AROUND: Final = 1.15
+"""The first cloud lies within the backlash and this much of its half beyond: flanks give way."""
+PRESSED_SDS: Final = 2.0
+"""In gear, a flank was pressed on where the twist was beyond it by this many standard
+deviations."""
+PRESSED_IN_GEAR: Final = 0.9
+"""Share of the first cloud that lies where the driveline was found in gear, if a flank was pressed
+on."""
+FREE_IN_GEAR: Final = 0.5
+"""Share of the first cloud that lies where the driveline was found in gear, if no flank was pressed
+on."""
+GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
+LEAST_DRAG: Final = 0.5
+"""Drag is never less (rad/s2): it always slows a shaft down."""
+SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
+"""What one window says of stiffness, loss, backlash and drag counts as no surer than this, in
+their logarithms: a shaft that met no flank shows little, and its cloud does not know how
+little."""
+WITHIN: Final = 2.0
+"""They stay within this many standard deviations of the sheet's values."""
+LEAST_SHARE_SD: Final = 0.5
+"""They are never known better than by this share of what the sheet leaves open."""
+
+
+class LashStart(NamedTuple):
+    """What is known when a gear has come out."""
+
+    time_us: float
+    angle_rad: float
+    speed_rad_s: float
+    vehicle_rad_s: float
+    """The vehicle's speed, at the main shaft."""
+    hill_rad_s2: float = 0.0
+    """The vehicle's acceleration, at the main shaft."""
+    vehicle_root: Vector | None = None
+    """A root of the covariance of the vehicle's speed and acceleration, (2, 2); None: as the sheet
+    says."""
+    behind: BehindState | None = None
+    """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
+
+
+class VehicleTrajectory(NamedTuple):
+    """What was known of the vehicle at a time, at the main shaft."""
+
+    time_us: float
+    speed_rad_s: float
+    hill_rad_s2: float
+    covariance: Vector
+    """(2, 2)."""
+
+    def at(self, time_us: float) -> VehicleTrajectory:
+        """The same at a later time."""
+        wait_s = (time_us - self.time_us) * US
+        moves = np.array(((1.0, wait_s), (0.0, 1.0)))
+        speed, hill = self.speed_rad_s + wait_s * self.hill_rad_s2, self.hill_rad_s2
+        return VehicleTrajectory(time_us, speed, hill, moves @ self.covariance @ moves.T)
+
+
+class LashFigures(NamedTuple):
+    """What is known of a driveline in one step of the range, at the main shaft."""
+
+    stiff: Figure
+    """The shafts' stiffness over the main shaft's inertia (1/s2)."""
+    loss: Figure
+    """The loss at a flank (s/rad)."""
+    half: Figure
+    """Half of the backlash (rad)."""
+    drag: Figure
+    """The drag's acceleration (rad/s2)."""
+
+
+def _figure(value: float, sd: float) -> Figure:
+    """By the data sheet, with the deviation of its logarithm."""
+    log = math.log(value)
+    return Figure(log, sd, log - WITHIN * sd, log + WITHIN * sd, sd, LEAST_SHARE_SD * sd)
+
+
+class Lash:
+    """The figures of a driveline in one step of the range, from the data sheet, and as learned."""
+
+    def __init__(self, axle: Axle, backlash_rad: float, factor: float, ratio: float) -> None:
+        """ratio: the range's, i_range; factor: most backlash over the sheet's."""
+        self.axle, self.ratio = axle, ratio
+        turned = axle.main_kgm2 + axle.propeller_kgm2 * ratio * ratio
+        self._turned_kgm2 = turned
+        drag = (axle.pinion_nm * ratio + axle.loose_nm) / turned
+        self.known = LashFigures(
+            _figure(axle.shaft_nm_rad * ratio * ratio / turned, axle.shaft_tolerance),
+            _figure(axle.flank_loss_s_rad * ratio, math.log(axle.flank_loss_factor)),
+            _figure(0.5 * backlash_rad / ratio, math.log(factor) / math.sqrt(3.0)),
+            _figure(drag, axle.pinion_tolerance / math.sqrt(3.0)),
+        )
+
+    def restore(self, half_rad: float, half_sd: float) -> None:
+        """Starts from the half backlash that an earlier run learned."""
+        self.known = self.known._replace(half=self.known.half.restored(half_rad, half_sd))
+
+    def model(self, speed_rad_s: float) -> LashModel:
+        """What is taken as known, at a speed of the main shaft."""
+        axle, ratio = self.axle, self.ratio
+        return LashModel(
+            self._share,
+            axle.tyre_nms / axle.wheels_kgm2,
+            abs(speed_rad_s) * ratio / axle.relaxation_rad,
+        )
+
+    @property
+    def shafts(self) -> Shafts:
+        """Stiffness and backlash as known, at the propeller shaft."""
+        stiff = self.known.stiff.value * self._turned_kgm2 / (self.ratio * self.ratio)
+        return Shafts(stiff, self.known.half.value * self.ratio)
+
+    @property
+    def chance(self) -> Chance:
+        """How torques of chance accelerate the shaft."""
+        axle = self.axle
+        nm = math.hypot(axle.main_chance_nm, self.ratio * axle.propeller_chance_nm)
+        return Chance(2.0 * (nm / self._turned_kgm2) ** 2 * axle.chance_s, axle.chance_s)
+
+    def cloud(self, start: LashStart) -> Vector:
+        """The first cloud, (ROWS, DRIVELINES)."""
+        known, axle, sure = self.known, self.axle, normal(DRIVELINES)
+        x = np.empty((ROWS, DRIVELINES))
+        x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
+        x[HALF] = np.exp(known.half.log + known.half.sd * sure[0])
+        root = np.diag(self.vehicle_sds) if start.vehicle_root is None else start.vehicle_root
+        off_speed, off_hill = root @ sure[2:4]
+        x[VEHICLE], x[HILL] = start.vehicle_rad_s + off_speed, start.hill_rad_s2 + off_hill
+        x[WHEELS] = x[VEHICLE] + axle.wheels_start_rad_s * sure[4]
+        x[TYRE] = axle.wheels_start_rad_s / math.sqrt(self._tyre_per_s2) * sure[5]
+        x[STIFF] = np.exp(known.stiff.log + known.stiff.sd * sure[6])
+        x[LOSS] = np.exp(known.loss.log + known.loss.sd * sure[7])
+        x[DRAG] = np.maximum(np.exp(known.drag.log + known.drag.sd * sure[8]), LEAST_DRAG)
+        x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
+        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * even(DRIVELINES)[1]) * x[HALF]
+        if start.behind is not None:
+            self._follow_on(x, start.behind)
+        return x
+
+    def _follow_on(self, x: Vector, behind: BehindState) -> None:
+        """Starts from what the driveline was found to be in gear. Where it lies in its backlash is
+        not believed of all: half of them lie anywhere where no flank was pressed on."""
+        mean, root, half = behind
+        found = mean[:, np.newaxis] + root @ normal(DRIVELINES)[1:6]
+        twist, ratio = found[0], self.ratio
+        beyond = twist - np.clip(twist, -half, half)
+        way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
+        is_pressed = abs(mean[0]) - half > PRESSED_SDS * math.sqrt(float(root[0] @ root[0]))
+        share = PRESSED_IN_GEAR if is_pressed else FREE_IN_GEAR
+        x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
+        x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
+
+    @property
+    def vehicle_sds(self) -> tuple[float, float]:
+        """What is not known of the vehicle's speed and acceleration, at the main shaft."""
+        return self.axle.vehicle_start_rad_s, self.axle.vehicle_rad_s2 / self.ratio
+
+    @property
+    def _share(self) -> float:
+        """The inertia of what turns with the main shaft over that of the wheels."""
+        return self._turned_kgm2 / (self.axle.wheels_kgm2 * self.ratio * self.ratio)
+
+    @property
+    def _tyre_per_s2(self) -> float:
+        return self.axle.tyre_nm_rad / self.axle.wheels_kgm2
+
+    def learn(self, shown: Callable[[int], tuple[float, float]]) -> None:
+        """Takes over what a window has shown: mean and standard deviation of the logarithm of a row
+        of its cloud."""
+        learned = []
+        for figure, row, least_sd in zip(
+            self.known, (STIFF, LOSS, HALF, DRAG), SEEN_SDS, strict=True
+        ):
+            log, sd = shown(row)
+            if not (math.isfinite(log) and math.isfinite(sd)):
+                return
+            learned.append(figure.after(log, max(sd, least_sd)))
+        self.known = LashFigures(*learned)

@@ -1,0 +1,231 @@
+"""Where a driveline lies in its backlash: a cloud of particles, weighed by the edges.
+
+When a gear has come out it is not known where between its flanks the driveline lies, how wide the
+backlash is, nor how fast the vehicle is within some tenths. Each driveline of the cloud holds
+another answer to all of it; all move on (`models/lash_motion`), and each edge weighs them by how
+well they predicted it. When few weigh most, the cloud is resampled around those (particle filter:
+Gordon, Salmond and Smith 1993; with a kernel for what does not move: Liu and West 2001). The
+shaft's own angle, speed and drag differ from those predicted by torques of chance: these three are
+estimated in each driveline by a Kalman filter, whose gain is the same for all (Rao and Blackwell;
+Doucet et al. 2000).
+
+There is no randomness in it: the first cloud is a low-discrepancy sequence (Halton 1960), and what
+is added to a cloud resampled are numbers that only look drawn (`halton.scattered_twice`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.estimate.cloud_resampling import SHARES, SPREAD, drawn, resampled
+from meshpoint.controller.estimate.edge_measurements import grouped_counts
+from meshpoint.controller.estimate.halton import PRIMES, scattered_twice
+from meshpoint.controller.estimate.lash import (
+    DRIVELINES,
+    LEAST_DRAG,
+    Lash,
+    LashStart,
+    VehicleTrajectory,
+)
+from meshpoint.controller.models.lash_motion import (
+    ANGLE,
+    DRAG,
+    HILL,
+    SPEED,
+    VEHICLE,
+    WAY,
+    each,
+    move,
+)
+from meshpoint.controller.models.lash_trajectory import LashTrajectory
+from meshpoint.kernels.jit import bare
+from meshpoint.kernels.records import Vector
+from meshpoint.units import US
+
+FOLLOWED: Final = 240
+"""This many of them, by their weights, are followed ahead."""
+MEASUREMENT_US: Final = 4000.0
+"""Edges within this are taken together: one by itself says little, and a shaft swings slowly."""
+LEAST_SHARE: Final = 0.25
+"""The cloud is resampled when fewer than this share of it carries the weight."""
+MOST_OFF: Final = 4.0
+"""An angle that is further off, in standard deviations, counts as so far off."""
+NIS_KEPT: Final = 0.9
+"""Weight of the mean normalised innovation squared so far, against a new one."""
+LOST: Final = 9.0
+"""A cloud whose mean normalised innovation squared is above this has lost the driveline, and begins
+anew."""
+RECENT: Final = 4
+"""A cloud that begins anew takes angle and speed from a line through this many measurements."""
+FIRST_OMEGA: Final = 2.0
+"""Standard deviation of the shaft's speed when a gear comes out (rad/s)."""
+FIRST_DRAG: Final = 0.5
+"""Standard deviation of the drag's acceleration in one driveline, at the start (rad/s2)."""
+DRAG_CHANGE: Final = 4.0
+"""Density of the change of the drag's acceleration in one driveline (rad2/s5)."""
+
+
+class LashCloud:
+    """The drivelines of one interval in neutral."""
+
+    def __init__(self, lash: Lash, start: LashStart, edge_time_s: float) -> None:
+        self._lash = lash
+        self._begin(start)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
+        """Times (us) and angles of the newest measurements."""
+        self._model = lash.model(start.speed_rad_s)
+        self._chance = lash.chance
+        self._edge_time_s = edge_time_s
+        self._drawn = 0
+        self.time_us = start.time_us
+        """Up to here edges have been taken."""
+        self._at_start = self.vehicle
+
+    def _begin(self, start: LashStart) -> None:
+        self._x = self._lash.cloud(start)
+        self._logs = np.zeros(DRIVELINES)
+        self._weights: Vector | None = None
+        """Those of the present logarithms, once they were asked for."""
+        self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
+        """Covariance of angle, speed and drag in each driveline."""
+        self._nis = 1.0
+        """Mean square of how far off the angles were, over how far the cloud let expect."""
+
+    def _begin_anew(self) -> None:
+        """From the newest measurements, wherever in the backlash: what was known of it has proved
+        wrong (sensor resetting, Lenser and Veloso 2000)."""
+        measurements, vehicle = np.array(self._recent), self._at_start.at(self.time_us)
+        waits_s = (measurements[:, 0] - self.time_us) * US
+        speed, angle = np.polyfit(waits_s, measurements[:, 1], 1).tolist()
+        # Either the shaft swings so fast, or the vehicle's speed was wrong.
+        speed_sd, hill_sd = self._lash.vehicle_sds
+        speed_sd = math.hypot(speed_sd, speed - vehicle.speed_rad_s)
+        self._begin(
+            LashStart(
+                self.time_us,
+                angle,
+                speed,
+                vehicle.speed_rad_s,
+                vehicle.hill_rad_s2,
+                np.diag((speed_sd, hill_sd)),
+            )
+        )
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether all of it are numbers."""
+        return bool(np.isfinite(self._x).all() and np.isfinite(self._logs).all())
+
+    @property
+    def weights(self) -> Vector:
+        """Probabilities of the drivelines."""
+        if self._weights is None:
+            found = np.exp(self._logs - self._logs.max())
+            self._weights = np.asarray(found / found.sum())
+        return self._weights
+
+    def mean(self, row: int) -> float:
+        """Mean of a quantity."""
+        return float(self.weights @ self._x[row])
+
+    @property
+    def vehicle(self) -> VehicleTrajectory:
+        """The vehicle as far as it is known, as unsure as the innovations show."""
+        rows = self._x[[VEHICLE, HILL]]
+        speed, hill = (rows @ self.weights).tolist()
+        spread = np.cov(rows, aweights=self.weights, ddof=0)
+        return VehicleTrajectory(self.time_us, speed, hill, max(1.0, self._nis) * spread)
+
+    def log_figure(self, row: int) -> tuple[float, float]:
+        """Mean and standard deviation of a quantity's logarithm; not numbers where it has none."""
+        if not self.is_alive:
+            return math.nan, math.nan
+        weights, logs = self.weights, np.log(self._x[row])
+        mean = weights @ logs
+        return float(mean), math.sqrt(float(weights @ (logs - mean) ** 2))
+
+    def take(self, edges: Vector, tooth_rad: float) -> None:
+        """Takes edges: times (us) and angles (rad), (2, n), in order of time; late ones are left
+        out. tooth_rad: standard deviation of an edge's angle."""
+        edges = edges[:, edges[0] > self.time_us]
+        if not edges.size:
+            return
+        times, angles, count = grouped_counts(edges, MEASUREMENT_US)
+        jitter_rad = float(self._x[SPEED, 0]) * self._edge_time_s
+        variances = (tooth_rad**2 + jitter_rad**2) / count
+        for time_us, angle_rad, variance in zip(times, angles, variances, strict=True):
+            self._measure((float(time_us) - self.time_us) * US, float(angle_rad), float(variance))
+            self.time_us = float(time_us)
+            self._recent.append((self.time_us, float(angle_rad)))
+            if self._nis > LOST and len(self._recent) == RECENT:
+                self._begin_anew()
+
+    def _measure(self, seconds: float, angle_rad: float, variance: float) -> None:
+        x = self._x
+        move(x, seconds, self._model)
+        p = spread(self._p, seconds, self._chance.rad2_s3)
+        whole = float(p[0, 0]) + variance
+        gain = p[:, 0] / whole
+        off = angle_rad - x[ANGLE]
+        self._take_surprise(off, whole)
+        correct(x, self._logs, off, gain, whole)
+        self._weights = None
+        self._p = p - np.outer(gain, p[0])
+        weights = self.weights
+        if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES and self.is_alive:
+            self._draw(weights)
+
+    def _take_surprise(self, off: Vector, variance: float) -> None:
+        """Takes how far off the cloud was: one that has lost the driveline does not know it by
+        itself, because what is resampled is as narrow as the little that was left."""
+        weights = self.weights
+        mean = float(weights @ off)
+        expected = float(weights @ (off - mean) ** 2) + variance
+        self._nis = NIS_KEPT * self._nis + (1.0 - NIS_KEPT) * mean**2 / expected
+
+    def _draw(self, weights: Vector) -> None:
+        """Draws the cloud anew, each driveline as often as its weight says."""
+        self._drawn += 1
+        begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
+        numbers = scattered_twice(DRIVELINES)[: len(SPREAD) + len(SHARES)]
+        self._x = resampled(self._x, weights, numbers[:, begin : begin + DRIVELINES])
+        self._logs[:], self._weights = 0.0, None
+
+    def trajectory(self, half_gap_rad: float) -> LashTrajectory | None:
+        """The trajectory from the newest edges on, known to half a gap; None where it is lost."""
+        if not self.is_alive:
+            return None
+        followed = np.take(self._x, drawn(self.weights, FOLLOWED), axis=1)
+        nis = math.sqrt(max(1.0, self._nis))
+        own = (self._p, self._chance)
+        return LashTrajectory(followed, self._model, own, half_gap_rad, nis)
+
+
+@bare
+def correct(x: Vector, logs: Vector, off: Vector, gain: Vector, variance: float) -> None:
+    """Corrects each driveline by how far off it was (n,), and weighs it by that, in place."""
+    most = MOST_OFF * math.sqrt(variance)
+    for i in each(x.shape[1]):
+        near = np.minimum(np.maximum(off[i], -most), most)
+        # Beyond `most` the logarithm falls in a line: Huber's law (1964).
+        logs[i] -= 0.5 * (2.0 * np.abs(off[i]) - np.abs(near)) * np.abs(near) / variance
+        x[ANGLE, i] += gain[0] * near
+        x[WAY, i] += gain[0] * near
+        x[SPEED, i] += gain[1] * near
+        x[DRAG, i] = np.maximum(x[DRAG, i] - gain[2] * near, LEAST_DRAG)
+
+
+def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:
+    """Covariance of angle, speed and drag after some time; drag slows down."""
+    f = np.array(((1.0, seconds, -0.5 * seconds**2), (0.0, 1.0, -seconds), (0.0, 0.0, 1.0)))
+    found = f @ p @ f.T
+    found[0, 0] += chance_rad2_s3 * seconds**3 / 3.0
+    found[0, 1] += chance_rad2_s3 * seconds**2 / 2.0
+    found[1, 0] += chance_rad2_s3 * seconds**2 / 2.0
+    found[1, 1] += chance_rad2_s3 * seconds
+    found[2, 2] += DRAG_CHANGE * seconds
+    return np.asarray(found)

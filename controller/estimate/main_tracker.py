@@ -1,0 +1,300 @@
+"""The main shaft by the crossing-time filter, on a driveline that swings.
+
+While the main box is in neutral and the clutch open it turns with the vehicle alone. It then swings
+with its driveline as was learned from earlier shifts, by one of two models: linear
+(`models/swing_kernels`), or with the driveline's backlash (`models/lash_motion`), whichever has
+predicted better. With a gear in mesh its acceleration is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimate.crossing_filter import NO_PRESSURES
+from meshpoint.controller.estimate.driveline_swing import (
+    LEAST_EDGES,
+    DrivelineSwing,
+    EdgeRun,
+    MainWindow,
+)
+from meshpoint.controller.estimate.figure import prior
+from meshpoint.controller.estimate.lash import Lash
+from meshpoint.controller.estimate.lash_cloud import LashCloud
+from meshpoint.controller.estimate.lash_rivals import AHEAD_US, LashRivals, Prediction
+from meshpoint.controller.estimate.lash_start import StartWatch
+from meshpoint.controller.estimate.likelihood import Search
+from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline, Shafts
+from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
+from meshpoint.controller.estimate.wheel_tracker import (
+    NOISE_ADAPTATION,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
+from meshpoint.controller.measure.wheel_edges import EdgeBatch
+from meshpoint.controller.models.kernels import OMEGA, THETA
+from meshpoint.controller.models.lash_trajectory import LashTrajectory
+from meshpoint.controller.models.swing import ShaftState, Swing, SwingMotion, SwingRates
+from meshpoint.controller.models.swing_kernels import STEADY, SWING_STATES
+from meshpoint.controller.settings.learned import SwingRecord
+from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.gearbox import Range
+from meshpoint.gearbox.driveline import Axle
+from meshpoint.kernels.records import RecordMemory, Vector
+from meshpoint.units import US
+
+NO_SWITCHES: Final = np.empty((2, 0))
+STILL: Final = SwingRates(1.0, 0.5, 0.0)
+"""A shaft that does not swing."""
+
+RELEASED_SHARE: Final = 0.1
+"""Standard deviation of the speed when a gear comes out, as a share of it."""
+
+
+class Behind(NamedTuple):
+    """What turns behind the gearbox, and how closely the main shaft's angle has to be known."""
+
+    axle: Axle = Axle()
+    half_gap_rad: float = math.radians(1.0)
+
+
+@dataclass
+class SwingLesson:
+    """An interval in neutral that has ended, and how far its swing has been learned."""
+
+    swing: DrivelineSwing
+    window: MainWindow
+    teeth_known: bool
+    search: Search | None = None
+
+
+class MainTracker(WheelTracker[SwingLesson]):
+    """Angle, speed, acceleration and swing of the main shaft."""
+
+    def __init__(
+        self,
+        tuning: CrossingFilterTuning,
+        teeth: int,
+        missing: tuple[int, ...] = (),
+        range_ratios: tuple[float, float] = (1.0, 1.0),
+        behind: Behind | None = None,
+    ) -> None:
+        """range_ratios: i_range of low and high; behind: what turns behind the gearbox."""
+        super().__init__(tuning, teeth, missing, MAIN_FILTER)
+        white = 2.0 * tuning.follow_rad_s2**2 * tuning.follow_s
+        self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, STILL)
+        steps = (Range.LOW, Range.HIGH)
+        axle, self._half_gap_rad = Behind() if behind is None else behind
+        self._swings = {step: DrivelineSwing(tuning) for step in steps}
+        self._lashes = {
+            step: Lash(axle, tuning.lash_rad, tuning.lash_factor, ratio)
+            for step, ratio in zip(steps, range_ratios, strict=True)
+        }
+        self._rivals = {step: LashRivals() for step in steps}
+        self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
+        """Standard deviation (s) of an edge's time."""
+        self._range = Range.HIGH
+        self._run = EdgeRun()
+        self._before = StartWatch()
+        self._cloud: LashCloud | None = None
+        """The drivelines that may be, once the first edges in neutral have come."""
+        self._trajectory: tuple[float, LashTrajectory | None] = (0.0, None)
+        """The newest edges' time and the trajectory from then on."""
+        self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
+
+    def edges(self, batch: EdgeBatch) -> None:
+        """Takes new edges."""
+        if self.teeth.learner.running and batch.time_us.size:
+            self._run.add(batch.time_us, batch.theta_rad, self.teeth.place(batch))
+        self._take(batch, NO_PRESSURES, NO_SWITCHES, self._motion)
+        if not self._free:
+            self._in_gear.edges(batch)
+        elif batch.time_us.size and self._running:
+            self._follow_lash(self.placed)
+
+    def _follow_lash(self, edges: Vector) -> None:
+        """The cloud takes new edges, and both models say what comes next."""
+        before, lash, rivals = self._before, self._lashes[self._range], self._rivals[self._range]
+        if not rivals.tries_lash:
+            return
+        if self._cloud is None:
+            start = before.take_out(edges, lash.vehicle_sds)
+            if start is None:
+                return
+            self._cloud, edges = LashCloud(lash, start, self.edge_time.value), before.waiting
+        self._cloud.take(edges, self.teeth.sd_rad)
+        rivals.judge(edges, self._half_gap_rad)
+        state = self._filter
+        asked = rivals.wants(state.time_us)
+        if not (asked or rivals.believes_lash):
+            return
+        trajectory = self._cloud.trajectory(self._half_gap_rad)
+        self._trajectory = (self._cloud.time_us, trajectory)
+        if asked and trajectory is not None:
+            wait_s = AHEAD_US * US
+            x, p = Swing(state.x, state.p, self._motion).spread_ahead(wait_s)
+            swing = Prediction(x.item(THETA), math.sqrt(max(0.0, p.item(THETA, THETA))))
+            wait_s += (state.time_us - self._cloud.time_us) * US
+            other = Prediction(trajectory.ahead(wait_s)[0], trajectory.theta_sd_ahead(wait_s))
+            rivals.predict(state.time_us, swing, other)
+
+    def take_edge_time(self, value_s: float, sd: float) -> None:
+        """Sets what an earlier run learned of an edge's time."""
+        self.edge_time = self.edge_time.restored(value_s, sd)
+        self._filter.set_edge_time(self.edge_time.value)
+
+    @property
+    def _motion(self) -> SwingMotion:
+        return self._swings[self._range].motion if self._free else self._following
+
+    def _teeth_motion(self, model: RecordMemory) -> RecordMemory:
+        """A driveline that rattles in its backlash moves otherwise than its linear swing: what is
+        left over would be taken for teeth. So those are learned by any motion then."""
+        return self._following if self._has_lash else model
+
+    @property
+    def _has_lash(self) -> bool:
+        return self._rivals[self._range].believes_lash
+
+    def shafts(self, step: Range) -> Shafts | None:
+        """The shafts behind, as far as they are known; None where a step of the range shows no
+        backlash, so that nobody asks how it is loaded."""
+        if not self._rivals[step].tries_lash:
+            return None
+        return self._lashes[step].shafts
+
+    def record(self, step: Range) -> SwingRecord | None:
+        """What a calibration file keeps of the driveline in a step of the range."""
+        has_lash = self._rivals[step].believes_lash
+        return self._swings[step].record(self._lashes[step].known, has_lash)
+
+    def restore(self, step: Range, record: SwingRecord) -> None:
+        """Starts from such a record."""
+        self._swings[step].restore(record)
+        self._lashes[step].restore(record.half_lash_rad, record.half_lash_sd)
+        self._rivals[step].restore(record.has_lash)
+
+    def lose_speed(self) -> None:
+        """Starts again with the next edges; teeth keep their numbers."""
+        super().lose_speed()
+        self._free = False
+        self._let_cloud_go()
+        self._before.lose()
+
+    def set_free(
+        self,
+        free: bool,
+        range_: Range | None,
+        events: list[str],
+        since_us: float = 0.0,
+        loaded: LoadedDriveline | None = None,
+    ) -> None:
+        """Whether it turns with the vehicle alone, surely so since a time; its teeth and its swing
+        are learned then. loaded: what was seen of the driveline while the gear was in mesh."""
+        if free and not self._free and self._running and range_ is not None:
+            since_us = max(since_us, self._filter.time_us)
+            behind = None if loaded is None else loaded.behind(since_us)
+            self._before.released(since_us, behind)
+            self._begin_free(range_)
+        elif not free and self._free:
+            self._end_free(events)
+
+    def _begin_free(self, range_: Range) -> None:
+        state, swing = self._filter, self._swings[range_]
+        self._in_gear.pause()
+        state.forget_past()
+        state.noise_adaptation(0.0)
+        self._range, self._free = range_, True
+        # The torque that the gear had before it came out may have moved the shaft in any way since
+        # the last edges: a few new ones tell more than what the estimate was.
+        state.p[:2, :2] = 0.0
+        state.p[THETA, THETA] = self._half_pitch_rad**2
+        state.p[OMEGA, OMEGA] = (RELEASED_SHARE * state.x[OMEGA]) ** 2 + STRUCK_RAD_S**2
+        x, p = state.x.copy(), state.p.copy()
+        swing.start(x, p)
+        time_us = state.time_us
+        state.begin(time_us, x, p)
+        self._rivals[range_].begin()
+        self._began = (time_us, x.copy(), p.copy())
+        self._run.begin()
+        self.teeth.learner.begin(time_us, x, p)
+        self.teeth.learner.set_edge_time(self.edge_time.value)
+
+    def _end_free(self, events: list[str]) -> None:
+        self._free = False
+        self._end_lash()
+        self._keep_window()
+        self._learn_teeth("main shaft", events)
+        state = self._filter
+        state.forget_past()
+        state.noise_adaptation(NOISE_ADAPTATION)
+        state.x[2:], state.p[2:, :], state.p[:, 2:] = 0.0, 0.0, 0.0
+        state.p[STEADY, STEADY] = self._tuning.main_start_rad_s2**2
+        # The flank's impact changes the speed in a step.
+        state.p[THETA, THETA] += self._half_pitch_rad**2
+        state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
+
+    def _end_lash(self) -> None:
+        cloud, rivals = self._cloud, self._rivals[self._range]
+        rivals.end()
+        self._let_cloud_go()
+        if cloud is not None and cloud.is_alive and rivals.believes_lash:
+            self._lashes[self._range].learn(cloud.log_figure)
+            self._before.take_vehicle(cloud.vehicle)
+
+    def _let_cloud_go(self) -> None:
+        self._cloud, self._trajectory = None, (0.0, None)
+
+    def _keep_window(self) -> None:
+        """The window's swing is learned later, by its teeth as they were known in it."""
+        teeth, edges, (time_us, x, p) = self.teeth, self._run.edges, self._began
+        if edges.shape[1] < LEAST_EDGES:
+            return
+        if teeth.learned:
+            edges[1] += teeth.error_rad[self._run.places]
+        window = MainWindow(edges, time_us, x, p, teeth.sd_rad)
+        self._lessons.append(SwingLesson(self._swings[self._range], window, teeth.learned))
+
+    def _learn_part(self, lesson: SwingLesson) -> bool:
+        """A little more of what an interval in neutral shows of the swing."""
+        if lesson.search is None:
+            lesson.search = lesson.swing.search(lesson.window, self.edge_time, lesson.teeth_known)
+        lesson.search.step()
+        if lesson.search.is_over:
+            self.edge_time = lesson.swing.take(lesson.search.found.figures)
+            self._filter.set_edge_time(self.edge_time.value)
+        return lesson.search.is_over
+
+    def at(self, time_us: float) -> ShaftState | None:
+        """The state at a time; None before enough edges, or without any for 60 ms."""
+        if not self._fresh(time_us):
+            return None
+        newest_us, trajectory = self._trajectory
+        if trajectory is not None and self._has_lash:
+            return _by_lash(time_us, newest_us, trajectory)
+        state = self._filter
+        motion = self._motion
+        newest = Swing(state.x, state.p, motion)
+        x, p = newest.spread_ahead((time_us - state.time_us) * US)
+        theta_sd, omega_sd = (math.sqrt(max(0.0, p.item(i, i))) for i in (THETA, OMEGA))
+        edge_rad2_s = self._edge_rad2_s(state.x.item(OMEGA), self.edge_time.value)
+        swing = Swing(x, p, motion, edge_rad2_s)
+        return ShaftState(time_us, x[THETA], x[OMEGA], theta_sd, omega_sd, x[STEADY], swing)
+
+    def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
+        p = np.zeros((SWING_STATES, SWING_STATES))
+        p[THETA, THETA] = (2.0 * self._tuning.tooth_error_rad) ** 2
+        p[OMEGA, OMEGA] = omega_sd_rad_s**2
+        p[STEADY, STEADY] = self._tuning.main_start_rad_s2**2
+        return np.zeros(SWING_STATES), p
+
+
+def _by_lash(time_us: float, newest_us: float, trajectory: LashTrajectory) -> ShaftState:
+    """The state by the cloud of particles."""
+    later = trajectory.after((time_us - newest_us) * US)
+    theta, omega = later.ahead(0.0)
+    sds = later.theta_sd_ahead(0.0), trajectory.speed_sd_rad_s
+    return ShaftState(time_us, theta, omega, *sds, trajectory.hill_rad_s2, later)

@@ -1,1 +1,0 @@
-"""Angle and speed of each shaft, tooth errors, brake model (docs/estimation.md)."""

@@ -1,1 +1,0 @@
-"""What the controller sends about itself: status, estimates, outcomes, lines of the log."""

@@ -1,0 +1,1 @@
+"""What a run is given: settings, header, what was learned before (docs/calibration.md)."""
