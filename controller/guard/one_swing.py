@@ -25,6 +25,11 @@ SPAN_US: Final = 85_000
 """The newest speeds are those of so long: about a period of the slowest swings that are wide."""
 LEAST_SPEEDS: Final = 8
 """Fewer show no frequency."""
+LEAST_US: Final = 60_000
+"""Nor do those of a shorter time."""
+LEAST_SQUARE: Final = 1e-6
+"""Speeds at such times that sine and cosine go together to within this, of some units, do not show
+which of them it is."""
 SWINGS_RAD_S: Final = 2.0
 """Speeds that differ by less (19 rpm) show no swing that is worth a bound of its own."""
 ERROR_RAD_S: Final = 0.4
@@ -70,7 +75,7 @@ def between(
     or has not for long enough. speeds: the newest last."""
     newest_us = speeds[-1].time_us if speeds else 0
     recent = [speed for speed in speeds if speed.time_us >= newest_us - SPAN_US]
-    if len(recent) < LEAST_SPEEDS:
+    if len(recent) < LEAST_SPEEDS or newest_us - recent[0].time_us < LEAST_US:
         return None
     omegas = [speed.omega_rad_s for speed in recent]
     way = max(omegas) - min(omegas)
@@ -119,6 +124,8 @@ def _nearest(
     cc, ss, cs = cc - count * c * c, ss - count * s * s, cs - count * c * s
     cv, sv = cv - count * c * v, sv - count * s * v
     square = cc * ss - cs * cs
+    if square < LEAST_SQUARE:
+        return OneSwing(frequency, decay, v, 0.0, 0.0), math.inf
     p, q = (cv * ss - sv * cs) / square, (cc * sv - cs * cv) / square
     middle = v - p * c - q * s
     off = max(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.guard import one_swing
@@ -141,3 +141,22 @@ def test_a_shaft_that_rattles_in_its_backlash_meets_no_swing() -> None:
 def test_a_swing_of_which_nothing_is_known_is_bounded_as_before() -> None:
     calm = Swing(ShaftSpeed(START_US, 50.0), 0.0, 49.0, 51.0, -10.0, 20.0)
     assert calm.between(START_US + 10_000.0, START_US + 20_000.0) == (49.8, 50.4)
+
+
+@given(
+    st.lists(st.integers(0, 85_000), min_size=8, max_size=30, unique=True),
+    st.lists(st.floats(0.0, 700.0), min_size=30, max_size=30),
+)
+@example([*range(8)], [float(k) for k in range(30)])
+@example([*range(7), 85_000], [float(k) for k in range(30)])
+@example([*range(8)], [1e9 * k for k in range(30)])
+@settings(max_examples=60)
+def test_speeds_at_any_times_are_answered(times_us: list[int], omegas: list[float]) -> None:
+    """Edges that somebody forges may come at any time: those that show no swing bound none."""
+    pairs = zip(sorted(times_us), omegas, strict=False)
+    speeds = [ShaftSpeed(START_US + time_us, omega) for time_us, omega in pairs]
+    newest_us = speeds[-1].time_us
+    found = one_swing.between(speeds, newest_us + 40_000, newest_us + 50_000)
+    assert found is None or (found[0] <= found[1] and all(map(math.isfinite, found)))
+    if max(times_us) < 100:
+        assert found is None
