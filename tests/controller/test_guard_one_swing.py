@@ -160,3 +160,17 @@ def test_speeds_at_any_times_are_answered(times_us: list[int], omegas: list[floa
     assert found is None or (found[0] <= found[1] and all(map(math.isfinite, found)))
     if max(times_us) < 100:
         assert found is None
+
+
+def test_what_is_tried_and_allowed_for_is_what_decision_0041_says() -> None:
+    """Numbers that a swing alone does not show to a few per cent."""
+    assert one_swing.FREQUENCIES == tuple(TURN * hertz / 2.0 for hertz in range(10, 51))
+    assert one_swing.DECAYS == (0.0, 4.0, 9.0, 14.0)
+    assert (one_swing.SPAN_US, one_swing.LEAST_US, one_swing.LEAST_SPEEDS) == (85_000, 60_000, 8)
+    assert (one_swing.SWINGS_RAD_S, one_swing.ERROR_RAD_S, one_swing.ERROR_SHARE) == (
+        2.0,
+        0.4,
+        0.06,
+    )
+    assert (one_swing.MEASURED_OVER_S, one_swing.NEAR, one_swing.PARTS) == (0.02, 1.5, 5)
+    assert one_swing.LEAST_SQUARE == 1e-6
