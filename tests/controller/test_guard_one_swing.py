@@ -162,9 +162,9 @@ def test_speeds_at_any_times_are_answered(times_us: list[int], omegas: list[floa
         assert found is None
 
 
-def test_what_is_tried_and_allowed_for_is_what_decision_0041_says() -> None:
-    """Numbers that a swing alone does not show to a few per cent."""
-    assert one_swing.FREQUENCIES == tuple(TURN * hertz / 2.0 for hertz in range(10, 51))
+def test_what_is_tried_and_allowed_for_is_what_the_document_says() -> None:
+    """docs/guard.md, row 3: numbers that a swing alone does not show to a few per cent."""
+    assert tuple(TURN * hertz / 2.0 for hertz in range(10, 51)) == one_swing.FREQUENCIES
     assert one_swing.DECAYS == (0.0, 4.0, 9.0, 14.0)
     assert (one_swing.SPAN_US, one_swing.LEAST_US, one_swing.LEAST_SPEEDS) == (85_000, 60_000, 8)
     assert (one_swing.SWINGS_RAD_S, one_swing.ERROR_RAD_S, one_swing.ERROR_SHARE) == (
