@@ -73,7 +73,9 @@ def between(
 ) -> tuple[float, float] | None:
     """Least and greatest speed (rad/s) between two times; None where the shaft does not swing so,
     or has not for long enough. speeds: the newest last."""
-    newest_us = speeds[-1].time_us if speeds else 0
+    if not speeds:
+        return None
+    newest_us = speeds[-1].time_us
     recent = [speed for speed in speeds if speed.time_us >= newest_us - SPAN_US]
     if len(recent) < LEAST_SPEEDS or newest_us - recent[0].time_us < LEAST_US:
         return None

@@ -174,3 +174,23 @@ def test_what_is_tried_and_allowed_for_is_what_the_document_says() -> None:
     )
     assert (one_swing.MEASURED_OVER_S, one_swing.NEAR, one_swing.PARTS) == (0.02, 1.5, 5)
     assert one_swing.LEAST_SQUARE == 1e-6
+
+
+def speeds_over(span_us: int, count: int) -> list[ShaftSpeed]:
+    """Of a swing of 11 Hz by 60 rpm, at equal steps of time, whole means left out."""
+    shaft, steps = swing(60.0), [span_us * k // (count - 1) for k in range(count)]
+    return [ShaftSpeed(START_US + at_us, shaft(at_us * 1e-6)) for at_us in steps]
+
+
+def bound_of(speeds: list[ShaftSpeed]) -> tuple[float, float] | None:
+    newest_us = speeds[-1].time_us
+    return one_swing.between(speeds, newest_us + 40_000, newest_us + 50_000)
+
+
+def test_a_swing_is_looked_for_in_eight_speeds_of_60_to_85_ms() -> None:
+    assert bound_of(speeds_over(60_000, 8)) is not None
+    assert bound_of(speeds_over(59_999, 8)) is None
+    assert bound_of(speeds_over(60_000, 7)) is None
+    assert bound_of(speeds_over(85_000, 8)) is not None
+    assert bound_of(speeds_over(85_001, 8)) is None, "the first is too old, seven are left"
+    assert one_swing.between([], 0.0, 1.0) is None

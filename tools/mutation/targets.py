@@ -25,6 +25,7 @@ class Target(NamedTuple):
 
 
 _GUARD_TESTS: Final = (
+    "tests/controller/test_guard_one_swing.py",
     "tests/controller/test_guard.py",
     "tests/controller/test_guard_rows.py",
     "tests/controller/test_guard_brake.py",
@@ -42,7 +43,6 @@ _GUARD_TESTS: Final = (
     "tests/controller/test_guard_wheels.py",
     "tests/controller/test_shafts_in_mesh.py",
     "tests/controller/test_guard_last_call.py",
-    "tests/controller/test_guard_one_swing.py",
     "tests/controller/test_guard_held_gear.py",
     "tests/controller/test_guard_driveline_specification.py",
     "tests/controller/test_staleness.py",
