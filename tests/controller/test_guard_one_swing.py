@@ -183,8 +183,7 @@ def test_a_swing_is_looked_for_in_eight_speeds_of_60_to_85_ms() -> None:
 
 
 def test_what_is_tried_and_allowed_for_is_what_the_document_says() -> None:
-    """docs/guard.md, row 3: a swing is bounded with numbers that it alone does not show to a few per
-    cent."""
+    """docs/guard.md, row 3: numbers that a bounded swing alone does not show to a few per cent."""
     assert bound_of(speeds_over(85_000, 8)) is not None
     assert tuple(TURN * hertz / 2.0 for hertz in range(10, 51)) == one_swing.FREQUENCIES
     assert one_swing.DECAYS == (0.0, 4.0, 9.0, 14.0)
@@ -196,3 +195,10 @@ def test_what_is_tried_and_allowed_for_is_what_the_document_says() -> None:
     )
     assert (one_swing.MEASURED_OVER_S, one_swing.NEAR, one_swing.PARTS) == (0.02, 1.5, 5)
     assert one_swing.LEAST_SQUARE == 1e-6
+
+
+def test_a_swing_is_as_much_wider_than_its_speeds_as_their_mean_takes_away() -> None:
+    """A speed is the mean over 20 ms, and was 1 rad/s."""
+    found = one_swing.OneSwing(frequency=TURN * 20.0, decay=0.0, middle=0.0, cosine=1.0, sine=0.0)
+    parts = [found.at(0.02 * ((k + 0.5) / 1_000 - 0.5)) for k in range(1_000)]
+    assert sum(parts) / len(parts) == pytest.approx(1.0, abs=1e-4)
