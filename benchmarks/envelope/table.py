@@ -30,7 +30,7 @@ AGAINST: Final = (
     "engaged, time or impact by more than chance, with the number of rows counted."
 )
 ON_SCREEN: Final = (
-    "shifts", "first in gap", "after\nramp\nms", "from\nrequest\nms", "J",
+    "shifts", "first in gap", "after\nramp\nms", "J",
     "outside/\nnot in/\nrefused", "ref.\nknown",
 )  # fmt: skip
 ABOUT: Final = (
@@ -102,9 +102,9 @@ def on_screen(rows: Mapping[str, Any], title: str) -> Table:
         table.add_column(column, justify="right", no_wrap=True)
     for name, found in rows.items():
         verdict = [_verdict(found)] if judged else []
-        shifts, gap, _, time_ms, _, whole_ms, impact, *failures, known, _, _ = cells(found)
+        shifts, gap, _, time_ms, _, _, impact, *failures, known, _, _ = cells(found)
         gap, failed = gap.replace(" to ", ".."), "/".join(failures)
-        table.add_row(name, shifts, gap, time_ms, whole_ms, impact, failed, known, *verdict)
+        table.add_row(name, shifts, gap, time_ms, impact, failed, known, *verdict)
     return table
 
 

@@ -155,6 +155,7 @@ def envelope_values() -> dict[str, Any]:
         "gap": {"rate": 0.9912, "ci95": [0.9861, 0.9945]},
         "true_state": 0.9912,
         "after_ramp_ms": {"mean": 12345.6, "p99": 12345.6},
+        "duration_ms": 12345.6,
         "impact_j": 12.345,
         "outside_window": 123,
         "not_engaged": 123,
