@@ -28,7 +28,7 @@ from meshpoint.testbench.errors import CommandError, RunError
 POLL_S: Final = 0.2
 BESIDE: Final = ("controller", "rig_sim", "dbc")
 """Folders of a checkout that are packages below `meshpoint` where it is installed."""
-PRODUCT: Final = ("meshpoint/testbench/cli.py", "controller/core/core.py", "rig_sim/core.py")
+PRODUCT: Final = ("meshpoint/testbench/cli.py", "controller/__init__.py", "rig_sim/core.py")
 """What a checkout of the product has."""
 START: Final = """\
 import sys, pathlib, meshpoint
