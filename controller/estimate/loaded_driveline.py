@@ -261,9 +261,8 @@ class LoadedDriveline:
     def _at(self, time_us: float) -> tuple[Vector, Vector] | None:
         """State and covariance at a time soon after the newest measurement; None where the gear was
         not followed for long enough."""
-        newest_us = float(self._followed.part("time_us")[0])
-        ahead_s, followed_s = (time_us - newest_us) * US, (newest_us - self._began_us) * US
-        if not self._running or followed_s < LEAST_S or not 0.0 <= ahead_s < LATE_S:
+        ahead_s = (time_us - self._newest_us) * US
+        if not self._running or self.is_early or not 0.0 <= ahead_s < LATE_S:
             return None
         x, p = self._x.copy(), self._p.copy()
         loaded_ahead(x, p, ahead_s, self._model)
@@ -272,8 +271,12 @@ class LoadedDriveline:
     @property
     def is_early(self) -> bool:
         """Whether it follows a gear, and has not for long enough yet to say anything."""
-        newest_us = float(self._followed.part("time_us")[0])
-        return self._running and (newest_us - self._began_us) * US < LEAST_S
+        return self._running and (self._newest_us - self._began_us) * US < LEAST_S
+
+    @property
+    def _newest_us(self) -> float:
+        """Time of the newest measurement."""
+        return float(self._followed.part("time_us")[0])
 
     def twist(self, time_us: float) -> Twist | None:
         """The driveline on its flank, for a plan of the engine's torque; None where the gear was

@@ -88,6 +88,10 @@ class GearPredictor:
         omega = self.layshaft_at(time_us, release_us).omega_rad_s
         return slip_rad_s(self.i_gear, omega, self.main.steady_omega_at(time_us))
 
+    def swing_rad_s(self, time_us: float) -> float:
+        """What the main shaft's swing adds to the slip at a time."""
+        return self.main.steady_omega_at(time_us) - self.main.omega_at(time_us)
+
     def _slip(self, state: LayshaftState) -> float:
         return slip_rad_s(self.i_gear, state.omega_rad_s, self.main.omega_at(state.time_us))
 

@@ -192,9 +192,9 @@ def _stays_in_window(context: ShiftContext, predictor: GearPredictor, plan: Plan
     fired = predictor.steady_slip_rad_s(plan.fire_us)
     for share in CONTACT_SHARES:
         contact_us = plan.contact_us + share * spread_us
+        held = fired + predictor.swing_rad_s(contact_us)
         met = predictor.slip_rad_s(contact_us)
-        fallen = fired - predictor.steady_slip_rad_s(contact_us)
-        if met < window.slip_low_rad_s or met + fallen > window.slip_high_rad_s:
+        if met < window.slip_low_rad_s or held > window.slip_high_rad_s:
             return False
     return True
 

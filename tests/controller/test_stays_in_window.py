@@ -31,9 +31,12 @@ class Predicted:
         share = (CONTACT_US - time_us) / (CONTACT_US - FIRED_US)
         return RPM * (self._slip + self._falls * share)
 
-    def slip_rad_s(self, time_us: float) -> float:
+    def swing_rad_s(self, time_us: float) -> float:
         turned = TURN * ((time_us - CONTACT_US) / 80_000 + self._turned)
-        return self.steady_slip_rad_s(time_us) - RPM * self._swing * math.cos(turned)
+        return -RPM * self._swing * math.cos(turned)
+
+    def slip_rad_s(self, time_us: float) -> float:
+        return self.steady_slip_rad_s(time_us) + self.swing_rad_s(time_us)
 
 
 def stays(slip_rpm: float, falls_rpm: float = 0.0, swing_rpm: float = 0.0, at: float = 0.0) -> bool:
