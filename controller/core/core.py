@@ -44,7 +44,7 @@ from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
-from meshpoint.controller.xcp.measured import SLEEVES, StepFacts
+from meshpoint.controller.xcp.memory import SLEEVES, StepFacts
 from meshpoint.controller.xcp.node import XcpNode
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (
