@@ -33,12 +33,11 @@ from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.measure.step_inputs import StepInputs
 from meshpoint.controller.measure.step_timing import StepTiming
 from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader, XcpAccess
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.controller.settings.valve_name import driven_or_pending
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot

@@ -21,9 +21,9 @@ from enum import IntEnum
 from functools import cached_property
 from typing import Any, Final
 
+from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.controller.xcp.protocol import RefusedError, XcpError
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS

@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
+from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.controller.xcp.memory import CalibrationPages, Memory, StepFacts, changes_in_words
 from meshpoint.controller.xcp.protocol import FD_LENGTHS, Event
 from meshpoint.controller.xcp.slave import XcpSlave

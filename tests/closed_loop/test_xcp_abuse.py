@@ -13,9 +13,8 @@ from loop_bench import Loop
 from xcp_master import address_of, master, refusal, settings_of, verdict
 
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.header import XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.controller.xcp.memory import (
     MEASURED_ADDRESS,
     PAGE_ADDRESS,
