@@ -37,15 +37,15 @@ from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.touch_and_lag import uncorrelated
 from meshpoint.controller.measure.pressure_samples import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model, predict_linear
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
     LayshaftState,
     diagonal,
     following_motion,
     free_motion,
     predict,
 )
+from meshpoint.controller.models.thesis import layshaft_model, predict_linear
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import GearboxSheet, Split

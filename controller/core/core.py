@@ -32,7 +32,7 @@ from meshpoint.controller.measure.refused_lead import RefusedLead
 from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.measure.step_inputs import StepInputs
 from meshpoint.controller.measure.step_timing import StepTiming
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader, XcpAccess
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming

@@ -16,7 +16,7 @@ from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.clock_probe import ClockProbe
 from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from meshpoint.controller.estimate.layshaft import LayshaftTracker
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan
 from meshpoint.controller.shift.table import ShiftRecord

@@ -7,7 +7,7 @@ from typing import Final
 
 from meshpoint.controller.core.messages import estimates, etc1, etc2, outcome, prediction
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.shift.sequence import ShiftSequence

@@ -16,9 +16,8 @@ from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US, CruiseTracke
 from meshpoint.controller.estimate.layshaft import LayshaftModels
 from meshpoint.controller.measure.pressure_samples import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear_kernels import THESIS_FILTER, propagate, thesis_filter
-from meshpoint.controller.models.models import LayshaftState, MotionModel, predict
+from meshpoint.controller.models.layshaft import BrakeInput, LayshaftState, MotionModel, predict
+from meshpoint.controller.models.thesis import THESIS_FILTER, propagate, thesis_filter
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.kernels.records import RecordMemory

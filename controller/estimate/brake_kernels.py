@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.models.kernels import STATE, travel
+from meshpoint.controller.models.layshaft_kernels import STATE, travel
 from meshpoint.kernels.jit import compiled, record_on
 from meshpoint.kernels.records import Vector
 

@@ -23,8 +23,8 @@ from meshpoint.controller.estimate.crossing_filter import Pressures
 from meshpoint.controller.estimate.figure import Estimate
 from meshpoint.controller.estimate.touch_and_lag import TouchAndLag, uncorrelated
 from meshpoint.controller.measure.pressure_samples import PressureSamples
-from meshpoint.controller.models.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
-from meshpoint.controller.models.models import MotionModel
+from meshpoint.controller.models.layshaft import MotionModel
+from meshpoint.controller.models.layshaft_kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.settings.learned import BrakeRecord
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.kernels.records import Vector

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     HALF,
     HILL,
     LOSS,

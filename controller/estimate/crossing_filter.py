@@ -19,7 +19,7 @@ from meshpoint.controller.estimate.crossing_layout import (
     TeethArrays,
 )
 from meshpoint.controller.estimate.swing_filter import LAYSHAFT_FILTER, FilterKind
-from meshpoint.controller.models.models import LayshaftState, MotionModel, ahead, state_of
+from meshpoint.controller.models.layshaft import LayshaftState, MotionModel, ahead, state_of
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import RecordMemory, Vector
 

@@ -29,7 +29,7 @@ from meshpoint.controller.estimate.crossing_layout import (
     SNAPSHOT_WORDS,
     Filter,
 )
-from meshpoint.controller.models.kernels import (
+from meshpoint.controller.models.layshaft_kernels import (
     DRAG,
     LONGEST_S,
     OMEGA,

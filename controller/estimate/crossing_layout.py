@@ -6,8 +6,8 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.models.kernels import STATES, Model, MotionState, MotionStep
-from meshpoint.controller.models.swing_kernels import SWING_STATES
+from meshpoint.controller.models.layshaft_kernels import STATES, Model, MotionState, MotionStep
+from meshpoint.controller.models.swing import SWING_STATES
 from meshpoint.kernels.records import (
     WORD_BYTES,
     Layout,

@@ -30,23 +30,23 @@ from meshpoint.controller.estimate.wheel_tracker import (
 )
 from meshpoint.controller.measure.pressure_samples import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.kernels import (
-    DISTURBANCE,
-    DRAG,
-    GAIN,
-    OMEGA,
-    PRESSURE,
-    THETA,
-)
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
     WALK_RAD_S2,
+    BrakeInput,
     Disturbance,
     LayshaftState,
     MotionModel,
     diagonal,
     following_motion,
     following_start,
+)
+from meshpoint.controller.models.layshaft_kernels import (
+    DISTURBANCE,
+    DRAG,
+    GAIN,
+    OMEGA,
+    PRESSURE,
+    THETA,
 )
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Vector

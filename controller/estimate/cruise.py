@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.linear_kernels import CRUISE_FILTER, cruise_filter
 from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.models.thesis import CRUISE_FILTER, cruise_filter
 from meshpoint.controller.settings.settings import CruiseFilterTuning
 from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US

@@ -19,8 +19,7 @@ from meshpoint.controller.estimate.figure import Figure, prior
 from meshpoint.controller.estimate.lash import LashFigures
 from meshpoint.controller.estimate.likelihood import Search
 from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
-from meshpoint.controller.models.swing import SwingMotion, SwingRates
-from meshpoint.controller.models.swing_kernels import RATE, STEADY, SWING
+from meshpoint.controller.models.swing import RATE, STEADY, SWING, SwingMotion, SwingRates
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, Vector

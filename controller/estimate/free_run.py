@@ -19,8 +19,8 @@ from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.touch_and_lag import best_of
 from meshpoint.controller.measure.pressure_samples import PressureSamples, together
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.kernels import DISTURBANCE, DRAG, GAIN
-from meshpoint.controller.models.models import Disturbance, MotionModel
+from meshpoint.controller.models.layshaft import Disturbance, MotionModel
+from meshpoint.controller.models.layshaft_kernels import DISTURBANCE, DRAG, GAIN
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import SECOND_US

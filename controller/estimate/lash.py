@@ -15,7 +15,7 @@ import numpy as np
 from meshpoint.controller.estimate.figure import Figure
 from meshpoint.controller.estimate.halton import even, normal
 from meshpoint.controller.estimate.loaded_driveline import BehindState, Shafts
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,
@@ -29,9 +29,9 @@ from meshpoint.controller.models.lash_motion import (
     VEHICLE,
     WAY,
     WHEELS,
+    Chance,
     LashModel,
 )
-from meshpoint.controller.models.lash_trajectory import Chance
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import Vector
 from meshpoint.units import US

@@ -31,17 +31,17 @@ from meshpoint.controller.estimate.lash import (
     LashStart,
     VehicleTrajectory,
 )
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HILL,
     SPEED,
     VEHICLE,
     WAY,
+    LashTrajectory,
     each,
     move,
 )
-from meshpoint.controller.models.lash_trajectory import LashTrajectory
 from meshpoint.kernels.jit import bare
 from meshpoint.kernels.records import Vector
 from meshpoint.units import US

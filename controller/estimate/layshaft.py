@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 from meshpoint.controller.measure.pressure_samples import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.models import LayshaftState, MotionModel
+from meshpoint.controller.models.layshaft import LayshaftState, MotionModel
 from meshpoint.kernels.records import Vector
 
 

@@ -35,10 +35,16 @@ from meshpoint.controller.estimate.wheel_tracker import (
     WheelTracker,
 )
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.kernels import OMEGA, THETA
-from meshpoint.controller.models.lash_trajectory import LashTrajectory
-from meshpoint.controller.models.swing import ShaftState, Swing, SwingMotion, SwingRates
-from meshpoint.controller.models.swing_kernels import STEADY, SWING_STATES
+from meshpoint.controller.models.backlash import LashTrajectory
+from meshpoint.controller.models.layshaft_kernels import OMEGA, THETA
+from meshpoint.controller.models.swing import (
+    STEADY,
+    SWING_STATES,
+    ShaftState,
+    Swing,
+    SwingMotion,
+    SwingRates,
+)
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range

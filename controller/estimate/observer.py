@@ -28,10 +28,14 @@ from meshpoint.controller.measure.wheel_edges import (
     EdgeFrame,
     WheelEdges,
 )
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    first_order_law,
+    free_motion,
+)
 from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.j1939 import torque_share

@@ -20,8 +20,8 @@ from meshpoint.controller.estimate.swing_layout import (
     SwingFilter,
     swing_memory,
 )
-from meshpoint.controller.models.kernels import OMEGA, THETA, mirror
-from meshpoint.controller.models.swing_kernels import (
+from meshpoint.controller.models.layshaft_kernels import OMEGA, THETA, mirror
+from meshpoint.controller.models.swing import (
     RATE,
     SWING,
     SWING_STATES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final
 
 from meshpoint.controller.estimate.crossing_layout import BATCHES_KEPT, FilterMemory
-from meshpoint.controller.models.swing_kernels import (
+from meshpoint.controller.models.swing import (
     SWING_MODEL_WORDS,
     SWING_STATES,
     SwingModel,

@@ -26,8 +26,8 @@ from meshpoint.controller.estimate.crossing_kernels import cholesky, inverse_by_
 from meshpoint.controller.estimate.teeth import TeethLearner, WheelTeeth
 from meshpoint.controller.estimate.tooth_match import PatternEquations
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.kernels import OMEGA, THETA
-from meshpoint.controller.models.models import WALK_RAD_S2, following_motion, following_start
+from meshpoint.controller.models.layshaft import WALK_RAD_S2, following_motion, following_start
+from meshpoint.controller.models.layshaft_kernels import OMEGA, THETA
 from meshpoint.controller.settings.settings import MS_IN_US, CrossingFilterTuning
 from meshpoint.kernels.records import Vector
 from meshpoint.units import US

@@ -15,7 +15,7 @@ from meshpoint.controller.estimate.swing_filter import LAYSHAFT_FILTER, FilterKi
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.teeth_in_gear import TeethInGear
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.kernels import OMEGA, THETA
+from meshpoint.controller.models.layshaft_kernels import OMEGA, THETA
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import RecordMemory, Vector
 

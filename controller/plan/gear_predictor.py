@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
     LayshaftState,
     MotionModel,
     Ticks,

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.models.kernels import MODEL, STATE, STATES, copy_on, travel
+from meshpoint.controller.models.layshaft_kernels import MODEL, STATE, STATES, copy_on, travel
 from meshpoint.kernels.jit import compiled, inlined, record_on
 from meshpoint.kernels.records import WORD_BYTES, Vector, filled, layout_of
 

@@ -17,10 +17,17 @@ from meshpoint.controller.estimate.loaded_kernels import (
 from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
 from meshpoint.controller.measure import chain_kernels as edge_kernels
 from meshpoint.controller.measure import gate_kernels as edge_gate
-from meshpoint.controller.models.kernels import STATES
-from meshpoint.controller.models.lash_motion import ROWS, LashModel, move
-from meshpoint.controller.models.lash_trajectory import Chance, LashTrajectory
-from meshpoint.controller.models.linear_kernels import (
+from meshpoint.controller.models.backlash import ROWS, Chance, LashModel, LashTrajectory, move
+from meshpoint.controller.models.layshaft import (
+    Ticks,
+    first_order_law,
+    following_motion,
+    outlook,
+    predict,
+)
+from meshpoint.controller.models.layshaft_kernels import STATES
+from meshpoint.controller.models.swing import SWING_STATES, Swing, SwingMotion, SwingRates
+from meshpoint.controller.models.thesis import (
     CRUISE_FILTER,
     LINEAR,
     THESIS_FILTER,
@@ -28,15 +35,6 @@ from meshpoint.controller.models.linear_kernels import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.models.models import (
-    Ticks,
-    first_order_law,
-    following_motion,
-    outlook,
-    predict,
-)
-from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates
-from meshpoint.controller.models.swing_kernels import SWING_STATES
 from meshpoint.controller.plan import plan_kernels
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.controller.shift.unloading import least_within

@@ -10,7 +10,7 @@ from typing import Final
 
 from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US
 from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.strategist import Plan, Strategist
 from meshpoint.controller.settings.settings import MS_IN_US, ControllerSettings

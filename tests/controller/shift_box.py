@@ -16,8 +16,12 @@ from chamber_sleeve import ChamberSleeve
 
 from meshpoint.controller.estimate.phase.reference import PhaseReferences
 from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    first_order_law,
+    free_motion,
+)
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategies.base import BUS_US
 from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords

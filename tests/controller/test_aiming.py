@@ -21,7 +21,7 @@ from test_strategy import (
     truth,
 )
 
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.plan_kernels import OUTSIDE, OUTSIDE_S
 from meshpoint.controller.plan.strategies.target_phase import TargetPhase

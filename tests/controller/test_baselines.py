@@ -20,9 +20,8 @@ from meshpoint.controller.estimate.cruise import (
 from meshpoint.controller.estimate.layshaft import LayshaftModels
 from meshpoint.controller.measure.pressure_samples import NO_SAMPLES
 from meshpoint.controller.measure.wheel_edges import NO_EDGES, EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.models import first_order_law, free_motion
+from meshpoint.controller.models.layshaft import BrakeInput, first_order_law, free_motion
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import Split, load_sheet

@@ -14,7 +14,7 @@ from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimate.layshaft import LayshaftModels
 from meshpoint.controller.measure.pressure_samples import NO_SAMPLES, PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.learned import BrakeRecord
 from meshpoint.gearbox import Split
 

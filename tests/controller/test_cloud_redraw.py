@@ -8,7 +8,7 @@ import pytest
 
 from meshpoint.controller.estimate.cloud_resampling import drawn, resampled
 from meshpoint.controller.estimate.halton import normal
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,

@@ -23,7 +23,7 @@ from meshpoint.controller.estimate.lash_rivals import (
     Prediction,
 )
 from meshpoint.controller.estimate.likelihood import GROWTH, learn
-from meshpoint.controller.models.swing_kernels import RATE, STEADY, SWING, SWING_STATES
+from meshpoint.controller.models.swing import RATE, STEADY, SWING, SWING_STATES
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle

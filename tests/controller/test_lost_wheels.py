@@ -11,7 +11,7 @@ from wheel import capture
 
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     EdgesLayshaftFall,

@@ -8,8 +8,7 @@ import normal_law
 import numpy as np
 import pytest
 
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import MotionModel, first_order_law
+from meshpoint.controller.models.layshaft import BrakeInput, MotionModel, first_order_law
 from meshpoint.controller.plan.plan_kernels import (
     CONTACT_SERIES,
     MEETING,

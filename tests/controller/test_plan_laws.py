@@ -21,7 +21,7 @@ from test_strategy import (
     predictor_at,
 )
 
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.strategies.base import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.plan.strategies.table import make_strategy

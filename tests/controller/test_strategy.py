@@ -13,10 +13,14 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    first_order_law,
+    free_motion,
+)
 from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.plan.gear_predictor import GearPredictor, LastMeasurement
 from meshpoint.controller.plan.strategies.table import STRATEGIES, make_strategy
 from meshpoint.controller.plan.strategist import Plan, Strategist

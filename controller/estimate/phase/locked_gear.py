@@ -11,7 +11,7 @@ from typing import Final
 
 from meshpoint.controller.estimate.phase.reference import PhaseReferences
 from meshpoint.controller.estimate.phase.reference_recovery import ReferenceRecovery
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.gearbox import GearboxSheet, MainGear
 

@@ -36,6 +36,8 @@ GAIN: Final = 4
 DRAG: Final = 5
 """Rows of the covariance: the fields of `MotionState` in their order."""
 SEGMENTS: Final = 6
+LONGEST_S: Final = 5e-3
+"""Within this step the process noise of `spread_over` is good to 2 %."""
 
 
 class MotionState:
@@ -104,9 +106,6 @@ STATE: Final = layout_of(MotionState)
 COVARIANCE: Final = layout_of(Covariance)
 MODEL: Final = layout_of(Model)
 STEP: Final = layout_of(MotionStep)
-
-LONGEST_S: Final = 5e-3
-"""Within this step the process noise of `spread_over` is good to 2 %."""
 
 
 @inlined
