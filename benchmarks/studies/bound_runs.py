@@ -35,7 +35,7 @@ from meshpoint.controller.estimate.figure import Estimate
 from meshpoint.controller.estimate.layshaft import LayshaftModels, LayshaftTracker
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.touch_and_lag import uncorrelated
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import (
     BrakeInput,

@@ -27,11 +27,8 @@ from meshpoint.controller.guard.driveline import DrivelineGuard
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.view import GuardInputs, GuardView
-from meshpoint.controller.measure.clock_probe import ClockProbe
-from meshpoint.controller.measure.refused_lead import RefusedLead
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.measure.step_timing import StepTiming
+from meshpoint.controller.measure.clock import ClockProbe, RefusedLead, StepTiming
+from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader, XcpAccess
 from meshpoint.controller.settings.learned import Calibration

@@ -13,9 +13,8 @@ import math
 
 from meshpoint.controller.core.carry_over import restore
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.measure.clock_probe import ClockProbe
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.clock import ClockProbe
+from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.shift.sequence import ShiftSequence

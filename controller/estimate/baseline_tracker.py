@@ -14,7 +14,7 @@ import numpy as np
 
 from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US, CruiseTracker, WindowSpeed
 from meshpoint.controller.estimate.layshaft import LayshaftModels
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import BrakeInput, LayshaftState, MotionModel, predict
 from meshpoint.controller.models.thesis import THESIS_FILTER, propagate, thesis_filter

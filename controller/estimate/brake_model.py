@@ -22,7 +22,7 @@ from meshpoint.controller.estimate.brake_kernels import pressure_trajectory
 from meshpoint.controller.estimate.crossing_filter import Pressures
 from meshpoint.controller.estimate.figure import Estimate
 from meshpoint.controller.estimate.touch_and_lag import TouchAndLag, uncorrelated
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.models.layshaft import MotionModel
 from meshpoint.controller.models.layshaft_kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.settings.learned import BrakeRecord

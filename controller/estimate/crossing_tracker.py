@@ -28,7 +28,7 @@ from meshpoint.controller.estimate.wheel_tracker import (
     STRUCK_RAD_S,
     WheelTracker,
 )
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import (
     WALK_RAD_S2,

@@ -17,7 +17,7 @@ from meshpoint.controller.estimate.figure import Figure
 from meshpoint.controller.estimate.likelihood import Search, learn
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.touch_and_lag import best_of
-from meshpoint.controller.measure.pressure_samples import PressureSamples, together
+from meshpoint.controller.measure.gearbox_view import PressureSamples, together
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import Disturbance, MotionModel
 from meshpoint.controller.models.layshaft_kernels import DISTURBANCE, DRAG, GAIN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import LayshaftState, MotionModel
 from meshpoint.kernels.records import Vector

@@ -12,22 +12,16 @@ from meshpoint.controller.estimate.main_tracker import Behind, MainTracker
 from meshpoint.controller.estimate.phase.locked_gear import LockedGear
 from meshpoint.controller.estimate.phase.reference import PhaseReferences
 from meshpoint.controller.estimate.phase.reference_recovery import ReferenceRecovery
-from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.measure.pressure_samples import (
+from meshpoint.controller.measure.clock import JUMP_US, SensorClockEstimate
+from meshpoint.controller.measure.gearbox_view import (
     NO_SAMPLES,
+    GearboxView,
     PressureSampler,
     PressureSamples,
+    PressureZero,
 )
-from meshpoint.controller.measure.pressure_zero import PressureZero
-from meshpoint.controller.measure.sensor_clock import JUMP_US, SensorClockEstimate
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.measure.wheel_edges import (
-    BRAKED_RAD_S2,
-    NO_EDGES,
-    EdgeBatch,
-    EdgeFrame,
-    WheelEdges,
-)
+from meshpoint.controller.measure.inputs import EdgeFrame, StepInputs
+from meshpoint.controller.measure.wheel_edges import BRAKED_RAD_S2, NO_EDGES, EdgeBatch, WheelEdges
 from meshpoint.controller.models.layshaft import (
     BrakeInput,
     LayshaftState,

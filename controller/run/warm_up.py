@@ -15,8 +15,7 @@ from meshpoint.controller.estimate.loaded_kernels import (
     loaded_ahead,
 )
 from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
-from meshpoint.controller.measure import chain_kernels as edge_kernels
-from meshpoint.controller.measure import gate_kernels as edge_gate
+from meshpoint.controller.measure import gate_kernels, inputs
 from meshpoint.controller.models.backlash import ROWS, Chance, LashModel, LashTrajectory, move
 from meshpoint.controller.models.layshaft import (
     Ticks,
@@ -53,8 +52,8 @@ def warm_up(baselines: bool = False) -> None:
 def warm_up_sensing() -> None:
     """Those of sensing, sleeves and planning: some third of the work."""
     with uncollected():
-        edge_kernels.warm_up()
-        edge_gate.warm_up()
+        inputs.warm_up()
+        gate_kernels.warm_up()
         plan_kernels.warm_up()
         cylinder.warm_up()
 

@@ -8,7 +8,7 @@ from typing import Final
 from meshpoint.controller.estimate.layshaft import LayshaftTracker
 from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
 from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategies.base import BUS_US
 from meshpoint.controller.settings.valve_name import Driven

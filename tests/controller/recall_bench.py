@@ -18,7 +18,7 @@ from meshpoint.controller.estimate.tooth_match import (
     ToothPattern,
     turned,
 )
-from meshpoint.controller.measure.sensor_count import Renumbered
+from meshpoint.controller.measure.wheel_edges import Renumbered
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet

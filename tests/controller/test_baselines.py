@@ -18,7 +18,7 @@ from meshpoint.controller.estimate.cruise import (
     WindowSpeed,
 )
 from meshpoint.controller.estimate.layshaft import LayshaftModels
-from meshpoint.controller.measure.pressure_samples import NO_SAMPLES
+from meshpoint.controller.measure.gearbox_view import NO_SAMPLES
 from meshpoint.controller.measure.wheel_edges import NO_EDGES, EdgeBatch
 from meshpoint.controller.models.layshaft import BrakeInput, first_order_law, free_motion
 from meshpoint.controller.models.thesis import layshaft_model

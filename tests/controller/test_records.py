@@ -86,7 +86,7 @@ load_can()
 import json, sys, numpy as np
 from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.measure.gate_kernels import gate_edges
-from meshpoint.controller.measure.gate_layout import new_gate, teeth_of
+from meshpoint.controller.measure.gate import new_gate, teeth_of
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
 from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates

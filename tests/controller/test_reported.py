@@ -22,8 +22,7 @@ from meshpoint.controller.core.messages import (
     outcome,
     prediction,
 )
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
 from meshpoint.controller.models.layshaft import Disturbance, LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan

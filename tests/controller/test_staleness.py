@@ -16,9 +16,7 @@ from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
 from meshpoint.controller.guard.own_speed import NO_FRAME_US
 from meshpoint.controller.guard.view import GUARD_FRESH_US, GuardInputs, GuardView
-from meshpoint.controller.measure.edge_speed import SPEED_STALE_US
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.inputs import SPEED_STALE_US, ShaftSpeeds, StepInputs
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame

@@ -16,7 +16,7 @@ from meshpoint.controller.estimate.crossing_filter import Pressures
 from meshpoint.controller.estimate.figure import Figure, prior
 from meshpoint.controller.estimate.free_run import FreeMotion, FreeRun
 from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import diagonal, free_motion
 from meshpoint.controller.models.layshaft_kernels import DRAG

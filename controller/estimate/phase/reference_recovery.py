@@ -33,7 +33,7 @@ from meshpoint.controller.estimate.phase.turn_candidates import (
 )
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.tooth_match import ToothPattern
-from meshpoint.controller.measure.sensor_count import Renumbered
+from meshpoint.controller.measure.wheel_edges import Renumbered
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import wrap_to_pitch

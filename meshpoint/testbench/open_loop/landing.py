@@ -23,7 +23,7 @@ from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.estimate.brake_model import PARAMETERS, BrakeModel
 from meshpoint.controller.estimate.layshaft import LayshaftTracker
 from meshpoint.controller.estimate.touch_and_lag import uncorrelated
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.layshaft import LayshaftState, MotionModel
 from meshpoint.controller.models.layshaft_kernels import GAIN
 from meshpoint.controller.settings.valve_name import ValveName

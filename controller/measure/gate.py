@@ -1,4 +1,9 @@
-"""The memory of the edge gate (`gate_kernels`), and its tuning constants."""
+"""The memory of the edge gate (`gate_kernels`), and its tuning constants.
+
+Which tooth is which on a wheel with missing teeth: pieces of the edge gate (`gate_kernels`).
+
+Every tooth is a candidate for the first edge until the steps seen since fit only one.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
+from meshpoint.kernels.jit import inlined
 from meshpoint.kernels.records import Integers, RecordMemory, Vector, layout_of
 
 SEEKING, SEARCHING, COUNTING = range(3)
@@ -15,6 +21,46 @@ NONE, RIGHT, WRONG, GAP, DOUBT, GONE = range(6)
 """What an edge is: not there yet; one with a tooth; extra; one behind a gap; doubtful, unless it
 has the tooth in `guess`; or the first after a stop."""
 UNKNOWN: Final = -(1 << 62)
+MOST_RAD_S: Final = 630.0
+"""6,000 rpm, what a data sheet allows."""
+RUN: Final = 4
+"""Intervals in a row of about one length: then there is a speed."""
+LONGER, LONGER_ERRATIC = 1.25, 1.5
+"""One length: up to this factor between neighbours; more where missing teeth check the count."""
+IN_TURN: Final = 0.4
+"""An edge this near to where the next one is due is that one, pitches; less after a wrong edge."""
+AFTER_REJECTED: Final = 0.25
+OUT_OF_TURN: Final = 0.25
+HOLE: Final = 0.75
+"""Without an edge of either polarity for this much longer than expected, teeth are missing."""
+MOST_MISSING: Final = 2
+RATE_ERROR: Final = 0.03
+"""Largest error of the filtered speed, as a share."""
+GAP_RATIO: Final = 1.45
+"""A gap may appear longer or shorter by up to this factor."""
+GAPS_TO_TURN: Final = 2
+"""This many gaps in a row that end with the other polarity: teeth begin with that one."""
+ALONE: Final = 10
+"""This many edges of one polarity, and none of the other: that one alone is used."""
+EVEN, CALM = 1.5, 1.1
+"""Neighbouring intervals of true edges differ by less than the first factor at any acceleration, by
+less than the second if nothing has happened."""
+MOST_REJECTED: Final = 60
+LONG: Final = 2.0
+"""At the least speed, a wheel may stop within this many pitches."""
+FOLLOW, FOLLOW_RATE, MOST_ERROR = 0.6, 0.3, 0.15
+"""Of the alpha-beta filter of an edge's place: alpha, beta, and the largest error that moves the
+speed (pitches)."""
+MOST_DRAGGED: Final = 0.4
+"""The same in a shaft that is dragged, by over 2,000 rad/s2: its speed is that of the last edge."""
+LONGEST_WAIT: Final = 1.5
+"""An edge waits for the next of its polarity until the other one is this many pitches on."""
+SURE, SURE_SCATTERS, BETTER = 0.02, 3.0, 0.02
+SCATTER_SHARE, START_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.0625, 0.05, 0.002, 0.2
+CLEAN, WIDER, ERRATIC, TWO_TEETH = 0.04, 6.0, 0.1, 0.6
+"""From this scatter on an edge may be further off; above the third a whole wheel has no
+count. On an erratic wheel edges so far apart (pitches) may be those of two teeth."""
+DUTY_SHARE: Final = 0.02
 
 
 class Gate:
@@ -93,47 +139,6 @@ class Gate:
 
 GATE: Final = layout_of(Gate)
 
-MOST_RAD_S: Final = 630.0
-"""6,000 rpm, what a data sheet allows."""
-RUN: Final = 4
-"""Intervals in a row of about one length: then there is a speed."""
-LONGER, LONGER_ERRATIC = 1.25, 1.5
-"""One length: up to this factor between neighbours; more where missing teeth check the count."""
-IN_TURN: Final = 0.4
-"""An edge this near to where the next one is due is that one, pitches; less after a wrong edge."""
-AFTER_REJECTED: Final = 0.25
-OUT_OF_TURN: Final = 0.25
-HOLE: Final = 0.75
-"""Without an edge of either polarity for this much longer than expected, teeth are missing."""
-MOST_MISSING: Final = 2
-RATE_ERROR: Final = 0.03
-"""Largest error of the filtered speed, as a share."""
-GAP_RATIO: Final = 1.45
-"""A gap may appear longer or shorter by up to this factor."""
-GAPS_TO_TURN: Final = 2
-"""This many gaps in a row that end with the other polarity: teeth begin with that one."""
-ALONE: Final = 10
-"""This many edges of one polarity, and none of the other: that one alone is used."""
-EVEN, CALM = 1.5, 1.1
-"""Neighbouring intervals of true edges differ by less than the first factor at any acceleration, by
-less than the second if nothing has happened."""
-MOST_REJECTED: Final = 60
-LONG: Final = 2.0
-"""At the least speed, a wheel may stop within this many pitches."""
-FOLLOW, FOLLOW_RATE, MOST_ERROR = 0.6, 0.3, 0.15
-"""Of the alpha-beta filter of an edge's place: alpha, beta, and the largest error that moves the
-speed (pitches)."""
-MOST_DRAGGED: Final = 0.4
-"""The same in a shaft that is dragged, by over 2,000 rad/s2: its speed is that of the last edge."""
-LONGEST_WAIT: Final = 1.5
-"""An edge waits for the next of its polarity until the other one is this many pitches on."""
-SURE, SURE_SCATTERS, BETTER = 0.02, 3.0, 0.02
-SCATTER_SHARE, START_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.0625, 0.05, 0.002, 0.2
-CLEAN, WIDER, ERRATIC, TWO_TEETH = 0.04, 6.0, 0.1, 0.6
-"""From this scatter on an edge may be further off; above the third a whole wheel has no
-count. On an erratic wheel edges so far apart (pitches) may be those of two teeth."""
-DUTY_SHARE: Final = 0.02
-
 
 class GateMemory(RecordMemory):
     """A gate's memory, and those of its parts that are asked for often; all are views."""
@@ -188,3 +193,77 @@ def new_gate(
     for name, value in values.items():
         memory.part(name)[0] = value
     return memory
+
+
+@inlined
+def judge_gap(gate: Gate, advance: Integers, falling: int) -> int:
+    """The same while the pattern of missing teeth is searched, behind a hole.
+
+    One that ends with the second edge of a tooth is counted: after some of them in a row, the
+    polarities change places (`turn` in `gate_kernels`)."""
+    seen = gate.error + 1.0
+    if gate.rejected > 0:
+        return DOUBT
+    nearest, ratio = 0, GAP_RATIO
+    for gap in advance:
+        if gap > 1 and max(seen / gap, gap / seen) < ratio:
+            nearest, ratio = gap, max(seen / gap, gap / seen)
+    if nearest == 0:
+        return DOUBT
+    if falling == 1:
+        gate.other_gaps += 1
+        return DOUBT
+    gate.other_gaps = 0
+    gate.slot += nearest - 1
+    gate.error -= nearest - 1
+    return GAP
+
+
+@inlined
+def search(gate: Gate, teeth: Integers, step: int, gap: bool) -> None:
+    """A rising edge came `step` pitches after the last: which tooth can it be of?
+
+    The second row of teeth says where the first edge of the search may be of that tooth. With one
+    left, after a whole turn that fits, teeth are numbered again. A wrong guess counts as lost."""
+    advance, candidates = teeth[0], teeth[1]
+    size, left, tooth = advance.size, 0, 0
+    for first in range(size):
+        before = (first + gate.searched) % size
+        now = (before + step) % size
+        # Without a hole in time a longer step is an edge that the sensor has missed.
+        fits = advance[before] == step if gap or step == 1 else advance[now] > 0
+        if candidates[first] == 1 and fits:
+            left, tooth = left + 1, now
+        else:
+            candidates[first] = 0
+    guess = gate.guess
+    if guess != UNKNOWN:
+        whole = gap or step == 1
+        guess += advance[guess % size] if whole else step
+        gate.guess = guess
+    gate.gaps += int(gap)
+    gate.searched += step
+    right = guess != UNKNOWN and guess % size == tooth
+    if left == 0 or (left == 1 and gate.gaps > 0 and guess != UNKNOWN and not right):
+        gate.lost += int(guess != UNKNOWN)
+        gate.guess = UNKNOWN
+    if left == 0:
+        begin_search(gate, teeth)
+        for tooth in range(size if gap else 0):
+            # The gap that contradicts is the first of the new search: it ends before this edge.
+            if advance[(tooth - step) % size] != step:
+                candidates[tooth] = 0
+    elif left == 1 and gate.searched > size:
+        shift = guess - gate.last[0] if right else (tooth - gate.last[0]) % size
+        gate.last[0] += shift
+        gate.last[1] += shift
+        gate.tooth += shift
+        gate.mode, gate.gap_hits, gate.guess = COUNTING, 0, UNKNOWN
+
+
+@inlined
+def begin_search(gate: Gate, teeth: Integers) -> None:
+    """Starts the search: every tooth is possible."""
+    for k in range(teeth.shape[1]):
+        teeth[1, k] = int(teeth[0, k] > 0)
+    gate.gaps, gate.searched, gate.mode = 0, 0, SEARCHING
