@@ -218,7 +218,7 @@ class ByGear(Generic[Record]):
 
 @dataclass(frozen=True)
 class SleeveRecord:
-    """A sleeve's contacts with one gear (`controller/sleeve/contact_chance.py`)."""
+    """A sleeve's contacts with one gear (`controller/sleeve/stroke.py`)."""
 
     delay_s: float = quantity("delay_ms", 1.0, 500.0, MS)
     """From activation to contact, from neutral and at the data sheet's supply pressure."""

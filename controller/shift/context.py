@@ -20,8 +20,8 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.torque_fall import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard
-from meshpoint.controller.sleeve.answers import Stroke
 from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.sleeve.stroke import Stroke
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear

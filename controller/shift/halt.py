@@ -17,7 +17,7 @@ from meshpoint.controller.shift.refire import STANDS_US, fires_again_us
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.sleeve.answers import Halt
+from meshpoint.controller.sleeve.stroke import Halt
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
 

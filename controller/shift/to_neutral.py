@@ -13,7 +13,7 @@ from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.sleeve.answers import Pulse
+from meshpoint.controller.sleeve.stroke import Pulse
 from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, Sleeve
 
 CLEAR_M: Final = 1.0e-3

@@ -31,8 +31,7 @@ from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
-from meshpoint.controller.sleeve.law import Prior, SleeveLaw
-from meshpoint.controller.sleeve.law_record import law_record
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw, law_record
 from meshpoint.dbc.messages import (
     ClutchAction,
     FaultCode,
