@@ -34,7 +34,7 @@ from meshpoint.controller.models.thesis import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.plan import plan_kernels
+from meshpoint.controller.plan import gear_predictor, target_phase
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.controller.shift.unloading import least_within
 from meshpoint.controller.sleeve import cylinder
@@ -54,7 +54,8 @@ def warm_up_sensing() -> None:
     with uncollected():
         inputs.warm_up()
         gate_kernels.warm_up()
-        plan_kernels.warm_up()
+        gear_predictor.warm_up()
+        target_phase.warm_up()
         cylinder.warm_up()
 
 

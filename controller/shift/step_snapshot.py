@@ -10,7 +10,7 @@ from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
 from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.swing import ShaftState
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.valve_name import Driven
 from meshpoint.dbc.messages import FaultCode
 

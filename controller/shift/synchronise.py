@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.strategies.base import EngagementStrategy
 from meshpoint.controller.plan.strategist import Plan
+from meshpoint.controller.plan.strategy import EngagementStrategy
 from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.brake_measurement import brake_holds

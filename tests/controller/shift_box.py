@@ -23,7 +23,7 @@ from meshpoint.controller.models.layshaft import (
     free_motion,
 )
 from meshpoint.controller.models.swing import ShaftState
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.valve_name import ValveName

@@ -24,7 +24,7 @@ from shift_box import (
     aimed,
 )
 
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.to_neutral import CLEAR_M
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult

@@ -15,8 +15,8 @@ from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.models.thesis import LayshaftState
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.plan_kernels import TERMS
-from meshpoint.controller.plan.strategies.table import make_strategy
+from meshpoint.controller.plan.strategist import make_strategy
+from meshpoint.controller.plan.target_phase import TERMS
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, EdgesMainRise, GearboxSensors

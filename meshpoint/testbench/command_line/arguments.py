@@ -81,7 +81,7 @@ def strategy_file(name: str) -> StrategyFile | None:
     it cannot be used."""
     if not is_file_name(name):
         return None
-    from meshpoint.controller.plan.strategies.own import read_strategy
+    from meshpoint.controller.plan.own_strategy import read_strategy
 
     return read_strategy(name)
 

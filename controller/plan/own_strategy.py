@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.strategies.base import LATEST_RELEASE_US, ReleasePlan
+from meshpoint.controller.plan.strategy import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import (
     StrategyError,

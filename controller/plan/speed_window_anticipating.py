@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.strategies.base import (
+from meshpoint.controller.plan.strategy import (
     ReleasePlan,
     Unaimed,
     release_for_slip,

@@ -2,6 +2,17 @@
 
 Release and contact are those of least expected cost under the uncertainty of the predicted phase:
 time, the price of a miss, and the energy that the flanks take (docs/strategy.md).
+
+At a contact at time t the phase is spread about its prediction phi with variance v(t) + (slip
+sigma_delay)^2. The tooth passes the overlap without meeting a flank if its phase at contact lies in
+[-b/2, b/2 - slip t_overlap] (slip > 0; mirrored for slip < 0): P is the probability of that
+interval under the normal law. The cost, in seconds:
+
+    (t - now) + (1 - P) (miss + block min(1, s_block / |slip|))
+        + energy slip^2 + aim ((phi - phi*) / (b/2))^2
+
+phi* is the target angle less half of what the slip moves the tooth through the overlap. The cost is
+compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 """
 
 from __future__ import annotations
@@ -12,13 +23,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor, Trajectory
-from meshpoint.controller.plan.plan_kernels import (
-    CONTACT_SERIES,
-    TERMS,
-    best_trajectory,
-    cheapest,
-)
-from meshpoint.controller.plan.strategies.base import (
+from meshpoint.controller.plan.strategy import (
     ReleasePlan,
     known_until_stop_us,
     last_measurement,
@@ -27,8 +32,15 @@ from meshpoint.controller.plan.strategies.base import (
 )
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.kernels.records import Vector, filled
+from meshpoint.kernels.jit import compiled, inlined, record_on
+from meshpoint.kernels.records import WORD_BYTES, Vector, filled, layout_of
 from meshpoint.units import SECOND_US
+
+LEAST_VARIANCE: Final = 1e-10
+OUTSIDE_S: Final = 0.05
+OUTSIDE: Final = 0.1
+"""Added cost of a contact outside the allowed slips, in s, and in s for each rad/s: it is chosen
+only if the gaps within reach are all outside, and then the nearest."""
 
 RELEASE_AHEAD_US: Final = 300_000.0
 """How far ahead contacts of a release are searched: in that time the slip falls out of its
@@ -68,6 +80,119 @@ CLEAR_US: Final = 10_000
 meets the gear when the brake has been released."""
 SLOWEST_M_S: Final = 0.05
 """A sleeve that meets a gear at all does so no slower."""
+
+
+class ContactSeries:
+    """Contacts at equal steps of time."""
+
+    wait_s: float
+    """From now to the first."""
+    step_s: float
+
+
+class Terms:
+    """The parameters of the cost (docs/strategy.md)."""
+
+    pitch_rad: float
+    half_gap_rad: float
+    target_rad: float
+    overlap_s: float
+    """Time through the overlap."""
+    delay_sd_s: float
+    miss_s: float
+    block_s: float
+    """Price of a miss, and what may be added to it where the tooth may block."""
+    block_slip_rad_s: float
+    """Below this slip the tooth may block."""
+    energy_s3_rad2: float
+    """Price of (rad/s)^2 of slip, in seconds."""
+    aim_s: float
+    """Price of being half a gap off the target."""
+    slip_low_rad_s: float
+    slip_high_rad_s: float
+    """Allowed slips."""
+
+
+CONTACT_SERIES: Final = layout_of(ContactSeries)
+TERMS: Final = layout_of(Terms)
+
+
+@inlined
+def contact_cost(
+    wait_s: float, phase: float, slip: float, variance: float, terms: Terms, enough: float
+) -> float:
+    """The cost in seconds; phase unwrapped (rad), slip (rad/s), variance of the phase without what
+    the delay adds (rad2). Where even a sure hit would cost `enough` or more, the cost of that: the
+    probability of a hit is most of the work, and does not matter then."""
+    half, pitch = terms.half_gap_rad, terms.pitch_rad
+    moved = slip * terms.overlap_s
+    centre = terms.target_rad - 0.5 * moved
+    off = phase - centre
+    off -= pitch * math.floor(off / pitch + 0.5)
+    energy, aim, outside = terms.energy_s3_rad2 * slip * slip, terms.aim_s * (off / half) ** 2, 0.0
+    if slip > terms.slip_high_rad_s:
+        outside = OUTSIDE_S + OUTSIDE * (slip - terms.slip_high_rad_s)
+    elif slip < terms.slip_low_rad_s:
+        outside = OUTSIDE_S + OUTSIDE * (terms.slip_low_rad_s - slip)
+    # In the order of the sum below: rounding, too, keeps it the lower one.
+    least = wait_s + energy + aim + outside
+    if least >= enough:
+        return float(least)
+    at = centre + off
+    low, high = -half - min(moved, 0.0), half - max(moved, 0.0)
+    delay = slip * terms.delay_sd_s
+    root = math.sqrt(2.0 * (variance + delay * delay + LEAST_VARIANCE))
+    hit = 0.0
+    if high > low:
+        hit = 0.5 * (math.erf((high - at) / root) - math.erf((low - at) / root))
+    size = abs(slip)
+    miss = terms.miss_s + terms.block_s * min(1.0, terms.block_slip_rad_s / max(size, 1e-6))
+    return float(wait_s + (1.0 - hit) * miss + energy + aim + outside)
+
+
+@compiled
+def cheapest(
+    phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector
+) -> tuple[int, float]:
+    """Index and cost of the cheapest contact of a trajectory: phase and slip at each contact, and
+    the phase's variance without what the delay adds.
+
+    contacts: a `ContactSeries`; terms: `Terms`."""
+    series, price = record_on(contacts, CONTACT_SERIES), record_on(terms, TERMS)
+    best, least = 0, math.inf
+    for k in range(phase.shape[0]):
+        later = k * series.step_s
+        cost = contact_cost(series.wait_s + later, phase[k], slip[k], variance[k], price, least)
+        if cost < least:
+            best, least = k, cost
+    return best, least
+
+
+@compiled
+def best_trajectory(
+    found: Vector, variance: Vector, waits_s: Vector, contacts: Vector, terms: Vector
+) -> tuple[int, int]:
+    """Of several trajectories, found (m, 2, n), the one with the cheapest contact, and the index of
+    that contact.
+
+    waits_s (m,): from now to the first contact of each, `ContactSeries.wait_s`, which is set."""
+    series = record_on(contacts, CONTACT_SERIES)
+    chosen, best, least = 0, 0, math.inf
+    for r in range(found.shape[0]):
+        series.wait_s = waits_s[r]
+        index, cost = cheapest(found[r, 0], found[r, 1], variance, contacts, terms)
+        if cost < least:
+            chosen, best, least = r, index, cost
+    return chosen, best
+
+
+def warm_up() -> None:
+    """Compiles the kernels, or loads what was compiled before."""
+    found = np.ones((1, 2, 1))
+    contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
+    one, terms = np.ones(1), np.ones(TERMS.itemsize // WORD_BYTES)
+    cheapest(one, one, one, contacts, terms)
+    best_trajectory(found, one, one, contacts, terms)
 
 
 class TargetPhase:
@@ -194,7 +319,7 @@ class TargetPhase:
         return np.asarray(settled + predictor.reference_variance)
 
     def _terms(self, predictor: GearPredictor) -> Vector:
-        """The terms of `plan_kernels` for this gear."""
+        """The terms of `contact_cost` for this gear."""
         window, prices, dog = self._window, self._prices, self._dog
         inertia = self._brake_nm_per_pa / predictor.model.brake_rad_s2_pa
         return filled(
@@ -215,7 +340,7 @@ class TargetPhase:
 
 
 def _contacts(trajectory: Trajectory, now_us: int) -> Vector:
-    """The contacts of a trajectory for `plan_kernels`."""
+    """The contacts of a trajectory for `cheapest`."""
     return filled(
         CONTACT_SERIES,
         wait_s=(trajectory.first_us - now_us) / SECOND_US,
