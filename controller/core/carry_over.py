@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.estimate.phase.reference_recovery import SavedReferences
-from meshpoint.controller.estimate.tooth_match import ToothPattern
+from meshpoint.controller.estimate.reference_recovery import SavedReferences
+from meshpoint.controller.estimate.teeth import ToothPattern
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import (
     CALIBRATION_FORMAT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.estimate.layshaft import LayshaftTracker
+from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
 from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan

@@ -14,11 +14,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
+from meshpoint.controller.estimate.figures import Figure, Search, prior
 from meshpoint.controller.estimate.lash import LashFigures
-from meshpoint.controller.estimate.likelihood import Search
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
 from meshpoint.controller.models.swing import RATE, STEADY, SWING, SwingMotion, SwingRates
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning

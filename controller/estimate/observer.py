@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.estimate.baseline_tracker import BaselineTracker
+from meshpoint.controller.estimate.baselines import BaselineTracker, CruiseTracker
 from meshpoint.controller.estimate.brake_model import BrakeModel
-from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
-from meshpoint.controller.estimate.cruise import CruiseTracker
-from meshpoint.controller.estimate.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.estimate.layshaft_tracker import (
+    CrossingTracker,
+    LayshaftModels,
+    LayshaftTracker,
+)
 from meshpoint.controller.estimate.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimate.main_tracker import Behind, MainTracker
-from meshpoint.controller.estimate.phase.locked_gear import LockedGear
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.estimate.phase.reference_recovery import ReferenceRecovery
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.reference_recovery import LockedGear, ReferenceRecovery
 from meshpoint.controller.measure.clock import JUMP_US, SensorClockEstimate
 from meshpoint.controller.measure.gearbox_view import (
     NO_SAMPLES,

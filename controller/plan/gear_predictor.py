@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.estimate.reference import LEARNED_SD_RAD, PhaseReferences
 from meshpoint.controller.models.layshaft import (
     BrakeInput,
     LayshaftState,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.estimate.brake_kernels import pressure_trajectory
-from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimate.brake_model import pressure_trajectory
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
 from meshpoint.controller.estimate.crossing_kernels import inverse_of_positive
 from meshpoint.controller.estimate.lash_cloud import correct
 from meshpoint.controller.estimate.loaded_kernels import (
@@ -14,7 +14,6 @@ from meshpoint.controller.estimate.loaded_kernels import (
     follow_loaded,
     loaded_ahead,
 )
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
 from meshpoint.controller.measure import gate_kernels, inputs
 from meshpoint.controller.models.backlash import ROWS, Chance, LashModel, LashTrajectory, move
 from meshpoint.controller.models.layshaft import (

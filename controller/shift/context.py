@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.wheel_tracker import ESTIMATE_STALE_US
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.strategist import Plan, Strategist

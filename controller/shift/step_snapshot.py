@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.estimate.layshaft import LayshaftTracker
+from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
 from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
 from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.measure.inputs import ShaftSpeeds

@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.figure import Estimate
+from meshpoint.controller.estimate.figures import Estimate
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.sleeve.cylinder import OFF, ON, PARAMETERS, TO_LEVEL, TO_REST, TO_TURN
 from meshpoint.controller.sleeve.driven import (

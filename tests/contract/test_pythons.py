@@ -76,7 +76,7 @@ def test_a_python_behind_shims_is_found(shims: str, tmp_path: Path) -> None:
 
 WHOLE = {
     "controller/guard/own_speed.py: sum(took_us)",
-    "controller/estimate/phase/reference.py: sum((1 << gear - 1 for gear in self._offset_rad))",
+    "controller/estimate/reference.py: sum((1 << gear - 1 for gear in self._offset_rad))",
     "controller/sleeve/driven.py: sum((one.time_us <= switch.time_us for one in self.switches))",
     "controller/xcp/protocol.py: sum((each[1] for i, each in enumerate(entries) "
     "if each is not None and i != entry))",

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from chamber_sleeve import ChamberSleeve
 
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.models.layshaft import (
     BrakeInput,

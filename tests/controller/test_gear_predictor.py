@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_strategy import GEAR, RATIO, SHEET, learned
 
-from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.estimate.reference import LEARNED_SD_RAD, PhaseReferences
 from meshpoint.controller.models.layshaft import (
     BrakeInput,
     LayshaftState,

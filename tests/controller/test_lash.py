@@ -13,16 +13,15 @@ from meshpoint.controller.estimate.lash import (
     SEEN_SDS,
     Lash,
     LashStart,
+    StartWatch,
     VehicleTrajectory,
 )
 from meshpoint.controller.estimate.lash_cloud import (
     LashCloud,
     spread,
 )
-from meshpoint.controller.estimate.lash_rivals import AHEAD_US, LashRivals, Prediction
-from meshpoint.controller.estimate.lash_start import StartWatch
 from meshpoint.controller.estimate.loaded_driveline import BehindState
-from meshpoint.controller.estimate.main_tracker import MainTracker
+from meshpoint.controller.estimate.main_tracker import AHEAD_US, LashRivals, MainTracker, Prediction
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.backlash import (
     ANGLE,

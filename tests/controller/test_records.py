@@ -88,7 +88,7 @@ from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressu
 from meshpoint.controller.measure.gate_kernels import gate_edges
 from meshpoint.controller.measure.gate import new_gate, teeth_of
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER
 from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates
 from meshpoint.controller.models.layshaft import diagonal, first_order_law, following_motion
 from meshpoint.controller.plan.target_phase import CONTACT_SERIES, MEETING, TERMS

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US, CruiseTracker
+from meshpoint.controller.estimate.baselines import CruiseTracker
 from meshpoint.controller.estimate.main_tracker import MainTracker
+from meshpoint.controller.estimate.wheel_tracker import ESTIMATE_STALE_US
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
 from meshpoint.controller.guard.own_speed import NO_FRAME_US

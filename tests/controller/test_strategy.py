@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.models.layshaft import (
     BrakeInput,
     LayshaftState,

@@ -13,7 +13,7 @@ from free_layshaft import Runs, World, drive, law_array
 
 from meshpoint.controller.estimate.brake_model import BrakeModel
 from meshpoint.controller.estimate.crossing_filter import Pressures
-from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.figures import Figure, prior
 from meshpoint.controller.estimate.free_run import FreeMotion, FreeRun
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.measure.gearbox_view import PressureSamples

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from meshpoint.controller.estimate.figure import Estimate
+from meshpoint.controller.estimate.figures import Estimate
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.stroke import LawFigures
 from meshpoint.gearbox import GearboxSheet, MainGear

@@ -1,4 +1,7 @@
-"""The baselines of layshaft estimation: the thesis's filter and the production window speed.
+"""Constant-speed estimation: for the main shaft (thesis 4.16), and for any shaft to which the
+layshaft's model does not apply at the time.
+
+The baselines of layshaft estimation: the thesis's filter and the production window speed.
 
 The model of thesis 4.13 holds when the clutch is open and the main box in neutral (4.1). Then the
 chosen estimator runs: `thesis` is the event-driven Kalman filter of 5.2 and 5.3, `window` the
@@ -12,19 +15,96 @@ import math
 
 import numpy as np
 
-from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US, CruiseTracker, WindowSpeed
-from meshpoint.controller.estimate.layshaft import LayshaftModels
+from meshpoint.controller.estimate.layshaft_tracker import LayshaftModels
+from meshpoint.controller.estimate.wheel_tracker import ESTIMATE_STALE_US, WindowSpeed
 from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import BrakeInput, LayshaftState, MotionModel, predict
-from meshpoint.controller.models.thesis import THESIS_FILTER, propagate, thesis_filter
-from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.models.thesis import (
+    CRUISE_FILTER,
+    THESIS_FILTER,
+    cruise_filter,
+    propagate,
+    thesis_filter,
+)
+from meshpoint.controller.settings.settings import ControllerSettings, CruiseFilterTuning
 from meshpoint.dbc.messages import Estimator
 from meshpoint.kernels.records import RecordMemory
+from meshpoint.units import US
 
 START_SD_PRESSURE_PA = 2e4
 """Standard deviation of the pressure when the filter starts: the valve has been off for a while,
 but not long enough for the pressure to be exactly zero."""
+
+
+class _CruiseMemory(RecordMemory):
+    """State and parameters of the filter."""
+
+    def _name_parts(self) -> None:
+        self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
+
+
+class CruiseTracker:
+    """Angle and speed of a shaft whose speed changes little, by a Kalman filter on its edges."""
+
+    def __init__(self, tuning: CruiseFilterTuning, pitch_rad: float) -> None:
+        self._tuning = tuning
+        self._pitch_rad = pitch_rad
+        self._filter = _CruiseMemory(CRUISE_FILTER)
+        self._filter.part("acceleration_rad_s2")[0] = tuning.acceleration_rad_s2
+        self._filter.part("edge_time_s")[0] = tuning.edge_time_us * US
+        self._seed = WindowSpeed()
+        self._running = False
+
+    def lose_speed(self) -> None:
+        """Starts anew with the edges to come; teeth keep their numbers."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Starts anew from the edges to come; after a jump in speed or lost teeth."""
+        self._running = False
+        self._seed.restart()
+
+    def edges(self, batch: EdgeBatch) -> None:
+        """Takes new edges in order of time."""
+        if not batch.time_us.size:
+            return
+        if not self._running:
+            self._start(batch)
+            return
+        cruise_filter(self._filter.flat, batch.time_us, batch.theta_rad)
+
+    def _start(self, batch: EdgeBatch) -> None:
+        self._seed.edges(batch)
+        newest = self._seed.newest
+        if self._seed.omega_rad_s is None or newest is None:
+            return
+        memory = self._filter
+        memory.time_us[0] = newest[0]
+        memory.x[:] = newest[1], self._seed.omega_rad_s
+        speed_sd = 0.05 * abs(self._seed.omega_rad_s) + 1.0
+        memory.p[:] = np.diag([(0.1 * self._pitch_rad) ** 2, speed_sd**2])
+        self._running = True
+
+    def at(self, time_us: float) -> ShaftState | None:
+        """The state at a time, speed held; None before enough edges, or without any for 60 ms."""
+        memory = self._filter
+        newest_us = memory.time_us.item()
+        if not self._running or abs(time_us - newest_us) > ESTIMATE_STALE_US:
+            return None
+        dt = (time_us - newest_us) * US
+        theta, omega = memory.x.tolist()
+        (p00, p01), (_, p11) = memory.p.tolist()
+        q = self._tuning.acceleration_rad_s2 * dt
+        theta_var = p00 + dt * (2.0 * p01 + dt * p11) + 0.25 * (q * dt) ** 2
+        return ShaftState(
+            time_us,
+            theta + omega * dt,
+            omega,
+            math.sqrt(max(0.0, theta_var)),
+            math.sqrt(max(0.0, p11 + q * q)),
+        )
 
 
 class _ThesisMemory(RecordMemory):

@@ -1,4 +1,6 @@
-"""Figures of a model learned by their likelihood, from one shift's edges at a time.
+"""What is known of a quantity: a value and its deviation, and how they change when more is seen.
+
+Figures of a model learned by their likelihood, from one shift's edges at a time.
 
 A filter whose model is right has innovations e of variance s, independent of each other: the
 probability of what it has seen falls with sum(e^2 / s + log s). What is known of each figure from
@@ -12,15 +14,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
-
-from meshpoint.controller.estimate.figure import Figure
 
 Deviance = Callable[[Sequence[float]], float]
 """Sum of squared innovations over their variances and of their logarithms, with these figures'
 logarithms."""
-
 REACH: Final = 0.5
 """Distance of the probes from the present value, in standard deviations."""
 LEAST_REACH: Final = 0.01
@@ -31,6 +30,66 @@ MOST_STEP: Final = 2.0
 SWEEPS: Final = 2
 GROWTH: Final = 1.1
 """Variances grow by this from shift to shift: temperatures, loads and roads change."""
+SCAN_SD: Final = 0.12
+"""A figure known better than this, by the standard deviation of its logarithm, is not scanned
+for."""
+SCAN_STEP: Final = 0.12
+"""Distance of two values that a scan tries, in the logarithm: 12 %."""
+MOST_SCANNED: Final = 17
+"""A scan has no more steps than this over a figure's range: they are longer instead."""
+REFINED: Final = 3
+"""After a scan, this often values more closely around the best one are tried."""
+TRIED_A_STEP: Final = 3
+"""How many values of a grid a step of a search tries: as many as a parabola takes."""
+
+
+class Estimate(NamedTuple):
+    """A value and its standard deviation, in the unit that the name of the field says."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A positive quantity that is learned: the mean and standard deviation of its logarithm, its
+    range, and how little and how much may be known of it."""
+
+    log: float
+    sd: float
+    least_log: float
+    most_log: float
+    prior_sd: float
+    """Before anything was learned."""
+    least_sd: float
+    """It is never known better than this: a few shifts do not tell what the next will be like."""
+
+    @property
+    def value(self) -> float:
+        """The quantity itself."""
+        return math.exp(self.log)
+
+    def after(self, log: float, sd: float) -> Figure:
+        """What is known after a measurement of its logarithm with this standard deviation."""
+        gain = self.sd**2 / (self.sd**2 + sd**2)
+        after = self.log + gain * (log - self.log)
+        after_sd = max(self.sd * math.sqrt(1.0 - gain), self.least_sd)
+        return replace(self, log=self._within(after), sd=after_sd)
+
+    def restored(self, value: float, sd: float) -> Figure:
+        """As an earlier run learned it; within its range, and no surer than it may be."""
+        log, sd = self._within(math.log(value)), min(max(sd, self.least_sd), self.prior_sd)
+        return replace(self, log=log, sd=sd)
+
+    def _within(self, log: float) -> float:
+        return min(max(log, self.least_log), self.most_log)
+
+
+def prior(typical: float, factor: float, range_: tuple[float, float], least_sd: float) -> Figure:
+    """A quantity that lies within `factor` of a typical one, one standard deviation, and always in
+    its range."""
+    sd = math.log(factor)
+    return Figure(math.log(typical), sd, math.log(range_[0]), math.log(range_[1]), sd, least_sd)
 
 
 class Found(NamedTuple):
@@ -46,19 +105,6 @@ def learn(known: Sequence[Figure], deviance: Deviance, scanned: Sequence[int] = 
     while not search.is_over:
         search.step()
     return search.found
-
-
-SCAN_SD: Final = 0.12
-"""A figure known better than this, by the standard deviation of its logarithm, is not scanned
-for."""
-SCAN_STEP: Final = 0.12
-"""Distance of two values that a scan tries, in the logarithm: 12 %."""
-MOST_SCANNED: Final = 17
-"""A scan has no more steps than this over a figure's range: they are longer instead."""
-REFINED: Final = 3
-"""After a scan, this often values more closely around the best one are tried."""
-TRIED_A_STEP: Final = 3
-"""How many values of a grid a step of a search tries: as many as a parabola takes."""
 
 
 class Search:

@@ -11,6 +11,11 @@ all gears together (`turn_candidates`); each gear whose reference is measured ex
 contradict it. A gear whose phase is the same for all remaining N is known without having been in
 mesh. If no N remains, the remembered references are wrong: they are dropped, with a line in the
 log.
+
+Watches a gear that has just locked until its phase reference is known.
+
+A measurement is both shafts' angles at the newest edge: there nothing is extrapolated, so an impact
+causes the least error.
 """
 
 from __future__ import annotations
@@ -22,8 +27,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
-from meshpoint.controller.estimate.phase.turn_candidates import (
+from meshpoint.controller.estimate.reference import (
+    LEARNED_SD_RAD,
+    PhaseReferences,
     TurnSet,
     all_turns,
     any_one,
@@ -31,9 +37,10 @@ from meshpoint.controller.estimate.phase.turn_candidates import (
     turn_candidates,
     without,
 )
-from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.estimate.tooth_match import ToothPattern
+from meshpoint.controller.estimate.teeth import ToothPattern, WheelTeeth
 from meshpoint.controller.measure.wheel_edges import Renumbered
+from meshpoint.controller.models.layshaft import LayshaftState
+from meshpoint.controller.models.swing import ShaftState
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.kinematics import wrap_to_pitch
@@ -42,6 +49,14 @@ from meshpoint.units import TURN
 AGREES_SDS: Final = 4.0
 MOST_COUNTED: Final = 1000
 """Largest number of candidate turns of the layshaft that a sensor's count may leave."""
+_WHY: Final = {
+    ReferenceSource.RESTORED: "with the tooth numbers",
+    ReferenceSource.NARROWED: "by the gears in mesh",
+}
+
+LEAST_MEASUREMENTS: Final = 20
+"""Before it has been looked at for 0.2 s, nothing is concluded of a gear that stays in mesh: its
+tooth may still be on its way to a flank."""
 
 
 class SavedReferences(NamedTuple):
@@ -310,14 +325,60 @@ class ReferenceRecovery:
         return SavedReferences(layshaft, main, self._without_waiting() if whole else {})
 
 
-_WHY: Final = {
-    ReferenceSource.RESTORED: "with the tooth numbers",
-    ReferenceSource.NARROWED: "by the gears in mesh",
-}
-
-
 def _now(teeth: WheelTeeth) -> ToothPattern | None:
     """A wheel's pattern in the present numbering; its remembered one if none has been learned."""
     if teeth.learned:
         return ToothPattern(teeth.error_rad, teeth.sd_rad, teeth.edges_seen)
     return teeth.memory
+
+
+class LockedGear:
+    """What is seen of a gear in mesh whose phase is looked for."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        references: PhaseReferences,
+        recovery: ReferenceRecovery | None,
+    ) -> None:
+        """recovery: what outlives lost tooth numbers; None for estimators that know no teeth."""
+        self._sheet = sheet
+        self._references = references
+        self._recovery = recovery
+        self._looked_us = 0.0
+        """The newest edge at the latest measurement."""
+
+    def is_due(self, newest_us: float) -> bool:
+        """Whether there are edges since the latest measurement: a step between two reads has
+        none."""
+        is_new, self._looked_us = newest_us != self._looked_us, newest_us
+        return is_new
+
+    def measure(
+        self, gear: MainGear, layshaft: LayshaftState, main: ShaftState, events: list[str]
+    ) -> None:
+        """One measurement."""
+        ratio = self._sheet.main_mesh(gear).ratio
+        sd_rad = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+        references = self._references
+        references.measure(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
+        watched = references.watched
+        if watched is not None and watched.measurements >= LEAST_MEASUREMENTS:
+            self._settle(gear, events)
+
+    def released(self, events: list[str]) -> None:
+        """No gear is in mesh any more."""
+        gear = self._references.released()
+        if gear is None or self._settle(gear, events) or self._references.known(gear):
+            return
+        name = gear.name.lower()
+        events.append(f"phase reference of {name} not learned: its tooth was not seen in mesh")
+
+    def _settle(self, gear: MainGear, events: list[str]) -> bool:
+        """Whether the gear's reference has just been learned."""
+        if not self._references.settle(gear):
+            return False
+        events.append(f"phase reference of {gear.name.lower()} learned")
+        if self._recovery is not None:
+            self._recovery.learned(gear, self._references.sd_rad(gear), events)
+        return True
