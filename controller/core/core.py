@@ -18,10 +18,8 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Learned, collect, restore
-from meshpoint.controller.core.follower import Follower
-from meshpoint.controller.core.log_lines import decision_line, outcome_line
-from meshpoint.controller.core.reporter import Reporter
+from meshpoint.controller.core.carry_over import Follower, Learned, collect, restore
+from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.guard.driveline import DrivelineGuard
 from meshpoint.controller.guard.limits import guard_limits
@@ -35,11 +33,10 @@ from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.controller.settings.valve_name import driven_or_pending
-from meshpoint.controller.shift.context import PredictorSource
+from meshpoint.controller.shift.context import PredictorSource, ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.xcp.memory import SLEEVES, StepFacts
 from meshpoint.controller.xcp.node import XcpNode
 from meshpoint.dbc.frame import Frame

@@ -26,7 +26,7 @@ from shift_box import (
 
 from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.controller.shift.to_neutral import CLEAR_M
+from meshpoint.controller.shift.disengage import CLEAR_M
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear
