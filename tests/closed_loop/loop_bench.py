@@ -161,7 +161,7 @@ class Loop:
 
     def watch_guard(self) -> list[tuple[int, Any]]:
         """What the guard sees in each step from now on, and when."""
-        view, seen = self.core._guard_view, list[tuple[int, Any]]()
+        view, seen = self.core._guarded._view, list[tuple[int, Any]]()
         take = view.take
 
         def noted(*given: Any) -> Any:
