@@ -1,6 +1,4 @@
-"""From a controller to its calibration and back: what it has learned, gathered and handed out.
-
-Another controller's estimates along a trajectory that a first one commands.
+"""What a controller has learned, handed on: to its calibration and back, and to another controller.
 
 A replay with other settings, calibration, estimator or data sheet needs estimates that know the
 recorded trajectory from the start of the run. The follower consumes the frames that the first

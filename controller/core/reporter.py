@@ -1,9 +1,7 @@
-"""From the controller's state to the messages that show it; nothing here decides.
+"""What a step shows on the bus and in its log: status and report frames, and a line for a decision.
 
-Log lines of the decisions and their reasons: brake, release, wait, fire; and of how a shift
-ended.
-
-The status and report frames, which make every step visible on the bus.
+The frames make every step visible; the lines give decisions with their reasons (brake, release,
+wait, fire) and how a shift ended. Nothing here decides.
 """
 
 from __future__ import annotations

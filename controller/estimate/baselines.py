@@ -1,12 +1,10 @@
-"""Constant-speed estimation: for the main shaft (thesis 4.16), and for any shaft to which the
-layshaft's model does not apply at the time.
-
-The baselines of layshaft estimation: the thesis's filter and the production window speed.
+"""The baselines: the thesis's filter, the production window speed, and constant-speed estimation.
 
 The model of thesis 4.13 holds when the clutch is open and the main box in neutral (4.1). Then the
-chosen estimator runs: `thesis` is the event-driven Kalman filter of 5.2 and 5.3, `window` the
-production speed of the last 10 ms. With a gear engaged the layshaft turns with the main shaft, and
-the constant-speed filter follows it; that is also where a gear's phase is learned.
+chosen estimator of the layshaft runs: `thesis` is the event-driven Kalman filter of 5.2 and 5.3,
+`window` the production speed of the last 10 ms. With a gear engaged the layshaft turns with the
+main shaft, and the constant-speed filter of thesis 4.16 follows it, as it follows the main shaft
+itself; that is also where a gear's phase is learned.
 """
 
 from __future__ import annotations

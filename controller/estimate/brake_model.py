@@ -1,13 +1,4 @@
-"""The brake's pressure over one shift, as the fit of its law runs it again and again.
-
-Touch pressure of the brake's pads and lag of its sensor, which are learned together.
-
-A brake whose torque ends sooner than its measured pressure says has pads that touch late, or a
-sensor that is late: one shift hardly says which. Learned one after the other, the first to be
-fitted takes the whole difference and is believed. So both are carried with their covariance, as an
-extended Kalman filter whose steps are shifts.
-
-Brake and drag as learned from shift to shift: gain, drag, touch, pressure law, delays.
+"""Brake and drag as learned from shift to shift: gain, drag, touch, pressure law, delays.
 
 The brake's torque is gain x C_db x (p - p_touch) once its pads touch. The filter therefore uses the
 pressure above p_touch, which is never negative.
@@ -17,6 +8,11 @@ that it can describe a first-order valve (thesis 4.1) as well as one with choked
 Each knot's rate is that of the data sheet times e^s; the s and both valve delays are fitted to the
 pressure measured over a shift, by Gauss-Newton with what is known already as the prior: an extended
 Kalman filter whose steps are shifts.
+
+Touch pressure and the lag of the pressure sensor are learned together. A brake whose torque ends
+sooner than its measured pressure says has pads that touch late, or a sensor that is late: one shift
+hardly says which. Learned one after the other, the first to be fitted takes the whole difference
+and is believed. So both are carried with their covariance, from shift to shift as well.
 """
 
 from __future__ import annotations
@@ -291,7 +287,7 @@ class BrakeModel:
         return round((float(self._mean[ON_DELAY]) + self.touch_pa.value / at_zero) / US)
 
     def law(self, touch_pa: float | None = None) -> Vector:
-        """The law of the pressure above the touch, for `motion_kernels`."""
+        """The law of the pressure above the touch, for `layshaft_kernels`."""
         touch = self.touch_pa.value if touch_pa is None else touch_pa
         whole = self._law(self._mean)
         law = np.full((2, SEGMENTS, 3), np.inf)

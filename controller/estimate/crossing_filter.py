@@ -1,9 +1,7 @@
-"""The memory of the main shaft's crossing-time filter (`swing_filter`).
+"""A crossing-time filter over one wheel's edges: its kernels for either shaft, and its memory.
 
-The crossing-time filter of a main shaft whose driveline swings: `crossing_kernels` with the
-states of `models/swing_kernels`, and what it and the layshaft's filter are chosen by.
-
-A crossing-time filter over one wheel's edges: `crossing_kernels` with its memory.
+The layshaft's are `crossing_kernels`; those of a main shaft whose driveline swings are the same
+with the states of `models/swing`.
 
 Edges that come late (their frame was lost, and the next one brought them) are older than the state.
 The filter keeps its last few states: it goes back to one before the late edge and processes
@@ -69,7 +67,7 @@ SWING_SNAPSHOT_WORDS: Final = layout_of(SwingSnapshot).itemsize // WORD_BYTES
 
 
 class SwingFilter:
-    """As `crossing_layout.Filter`, with the states of a shaft that swings. No pressure is
+    """As `crossing_kernels.Filter`, with the states of a shaft that swings. No pressure is
     measured; the field is there because both filters are set up alike."""
 
     time_us: float

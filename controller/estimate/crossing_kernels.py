@@ -1,6 +1,4 @@
-"""The memory of a crossing-time filter, and the arrays a wheel's teeth are learned by.
-
-The crossing-time Kalman filter, and the least squares by which it learns its wheel's teeth.
+"""The crossing-time Kalman filter, and the least squares by which it learns its wheel's teeth.
 
 An edge's angle is exact and its time is noisy, so at the edge's stamp the shaft stands at y =
 theta_k + delta_k with variance (omega sigma_t)^2 + sigma_delta^2: theta_k the nominal angle,

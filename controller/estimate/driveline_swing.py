@@ -1,8 +1,8 @@
 """How a driveline swings while the gearbox is in neutral, learned from the ringing of every shift.
 
-The main shaft swings against the wheels (`models/swing_kernels`). Frequency, damping, and how far
+The main shaft swings against the wheels (`models/swing`). Frequency, damping, and how far
 it swings when a gear comes out, differ between the steps of the range. The figures are learned by
-the likelihood of a shift's edges (`likelihood`). A driveline that rattles in its backlash moves
+the likelihood of a shift's edges (`figures`). A driveline that rattles in its backlash moves
 otherwise (`lash_cloud`).
 """
 

@@ -1,12 +1,10 @@
-"""What is known of a quantity: a value and its deviation, and how they change when more is seen.
+"""Figures of a model: what is known of each, and how a shift's edges teach more of it.
 
-Figures of a model learned by their likelihood, from one shift's edges at a time.
-
-A filter whose model is right has innovations e of variance s, independent of each other: the
-probability of what it has seen falls with sum(e^2 / s + log s). What is known of each figure from
-earlier shifts is its prior, a normal law of the figure's logarithm. Each figure in turn goes to the
-minimum of the parabola through three runs of the filter; the parabola's curvature gives the
-standard deviation.
+A figure is a value and its deviation. A filter whose model is right has innovations e of variance
+s, independent of each other: the probability of what it has seen falls with sum(e^2 / s + log s).
+What is known of each figure from earlier shifts is its prior, a normal law of the figure's
+logarithm. Each figure in turn goes to the minimum of the parabola through three runs of the filter;
+the parabola's curvature gives the standard deviation.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
-"""Numbers that fill a space evenly without any randomness: Halton's sequences (1960).
-
-`scipy.stats.qmc.Halton` gives the same bits; to load it would cost a node 0.8 s and 68 MB.
-
-A driveline behind the gearbox: its figures by data sheet and as learned, and its first cloud.
+"""A driveline behind the gearbox: its figures by data sheet and as learned, and how it begins.
 
 What the data sheet leaves open of a driveline is learned from window to window in neutral: each
-begins with a cloud of particles (`lash_cloud`) that are spread as far as that is not known yet.
+begins where and as fast as main shaft and vehicle are when a gear has come out, with a cloud of
+particles (`lash_cloud`) that are spread as far as that is not known yet.
 
-Where and how fast the main shaft is when a gear has come out, and how fast the vehicle.
+They are spread by numbers that fill a space evenly without any randomness: Halton's sequences
+(1960). `scipy.stats.qmc.Halton` gives the same bits; to load it would cost a node 0.8 s and 68 MB.
 """
 
 from __future__ import annotations

@@ -1,25 +1,23 @@
-"""A cloud of particles resampled around those that explain the edges.
-
-Each is drawn as often as its weight says, and what does not move by itself is spread a little, so
-that copies of one driveline part. The spread is Liu and West's (2001): shrunk towards the mean, it
-leaves mean and covariance as they were, and what was found of two quantities together - a wide
-backlash with a late flank, a fast vehicle with fast wheels - stays together. Mean and covariance
-are those of the drivelines at the same flank or between them: over all of these at once they would
-be of drivelines that move by different laws.
-
-Where a driveline lies in its backlash: a cloud of particles, weighed by the edges.
+"""Where a driveline lies in its backlash: a cloud of particles, weighed by the edges.
 
 When a gear has come out it is not known where between its flanks the driveline lies, how wide the
 backlash is, nor how fast the vehicle is within some tenths. Each driveline of the cloud holds
-another answer to all of it; all move on (`models/lash_motion`), and each edge weighs them by how
-well they predicted it. When few weigh most, the cloud is resampled around those (particle filter:
+another answer to all of it; all move on (`models/backlash`), and each edge weighs them by how well
+they predicted it. When few weigh most, the cloud is resampled around those (particle filter:
 Gordon, Salmond and Smith 1993; with a kernel for what does not move: Liu and West 2001). The
 shaft's own angle, speed and drag differ from those predicted by torques of chance: these three are
 estimated in each driveline by a Kalman filter, whose gain is the same for all (Rao and Blackwell;
 Doucet et al. 2000).
 
+Resampled, each is drawn as often as its weight says, and what does not move by itself is spread a
+little, so that copies of one driveline part. The spread is Liu and West's: shrunk towards the mean,
+it leaves mean and covariance as they were, and what was found of two quantities together - a wide
+backlash with a late flank, a fast vehicle with fast wheels - stays together. Mean and covariance
+are those of the drivelines at the same flank or between them: over all of these at once they would
+be of drivelines that move by different laws.
+
 There is no randomness in it: the first cloud is a low-discrepancy sequence (Halton 1960), and what
-is added to a cloud resampled are numbers that only look drawn (`halton.scattered_twice`).
+is added to a cloud resampled are numbers that only look drawn (`lash.scattered_twice`).
 """
 
 from __future__ import annotations

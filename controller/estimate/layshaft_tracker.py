@@ -1,6 +1,4 @@
-"""The interface of the layshaft's estimators.
-
-The layshaft by the crossing-time filter, with teeth learned while it moves freely.
+"""The layshaft by the crossing-time filter, with teeth learned while it moves freely.
 
 It has two models: its own while clutch and main box leave it free (thesis 4.13), and one with an
 unknown acceleration while a gear is in mesh. The filter's state and the learned teeth are kept when

@@ -1,6 +1,4 @@
-"""Edges taken together: one by itself says little, and a shaft swings slowly.
-
-The driveline with a gear in mesh: what the shafts carry, and how fast the vehicle is.
+"""The driveline with a gear in mesh: what the shafts carry, and how fast the vehicle is.
 
 A Kalman filter over the layshaft's angles in gear, with the torque that the engine says it gives
 (`loaded_kernels`). When the gear comes out, it says where the driveline begins its way through the

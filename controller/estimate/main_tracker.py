@@ -1,11 +1,9 @@
-"""Which model of the main shaft in neutral predicts it better: a linear swing or the backlash.
-
-The main shaft by the crossing-time filter, on a driveline that swings.
+"""The main shaft by the crossing-time filter, on a driveline that swings.
 
 While the main box is in neutral and the clutch open it turns with the vehicle alone. It then swings
 with its driveline as was learned from earlier shifts, by one of two models: linear
-(`models/swing_kernels`), or with the driveline's backlash (`models/lash_motion`), whichever has
-predicted better. With a gear in mesh its acceleration is unknown.
+(`models/swing`), or with the driveline's backlash (`models/backlash`), whichever has predicted
+better. With a gear in mesh its acceleration is unknown.
 """
 
 from __future__ import annotations

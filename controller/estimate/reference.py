@@ -1,8 +1,31 @@
-"""Whole turns of the layshaft that were not counted: one set of hypotheses for all gears.
+"""Phase references: the angle between gear teeth and sleeve teeth, learned when a gear locks.
 
-After a restart the tooth numbers of both sensor wheels can be recovered, whole turns cannot. A
-gear's phase is i theta_layshaft - theta_main less its reference, i = z1 / z2, modulo the pitch of d
-dog teeth:
+The sensor wheels count teeth but do not measure absolute angles (thesis 8.2). In mesh a tooth lies
+in its gap, so the constant between counted angles and phase follows from where it is seen while the
+gear is in mesh. An observation of the phase of a gear in mesh is called a measurement. Counting
+teeth keeps the reference exact; it is lost when the count of either wheel is lost. A gear that has
+been in mesh has a reference from then on, with a standard deviation that says how well it is known;
+plans price it.
+
+**The middle of the gap** follows from all measurements by Bayes' rule on a grid. In mesh a tooth is
+somewhere in its gap, most of the time at one of the two flanks, whichever the torque presses it to.
+On a driveline that swings it changes flanks again and again and never lies still for long, but the
+measurements of it pile up at two phases one backlash apart. The density of a measurement at phase
+phi from the middle of the gap, b the backlash:
+
+    p(phi) = (1 - e) (f u N(phi - b/2) + f (1 - u) N(phi + b/2) + (1 - f) U(|phi| < b/2) * N)
+             + e / pitch
+
+N is a measurement's own error, f the share of measurements at a flank, u the share of those at the
+upper one, and e that of measurements gone astray by an impact. Measurements at one flank alone
+leave two middles alike. What decides then is that the slip at which tooth and flank met has carried
+the tooth to the flank on its side: u is near 1 or 0 for the first measurements, and 1/2 for all
+others.
+
+**Whole turns of the layshaft** that were not counted are one set of hypotheses for all gears. After
+a restart the tooth numbers of both sensor wheels can be recovered, whole turns cannot. A gear's
+phase is i theta_layshaft - theta_main less its reference, i = z1 / z2, modulo the pitch of d dog
+teeth:
 
 - Turns of the main shaft do not enter: 2 pi is d pitches.
 - N turns of the layshaft move the phase by N d z1 / z2 pitches, which is whole again after
@@ -17,29 +40,6 @@ Chinese remainder theorem the joint set is exactly
 Each prime power of C divides two of the n, so C^2 divides their product at most: 40,000 hypotheses
 for four gears of 200 teeth, 1 for coprime n. Where the turns are bounded, because a wheel's edges
 were counted on, N itself is listed: then all n share all, c_g = n_g.
-
-Where the gap of a gear lies, by all measurements of its tooth in mesh: Bayes' rule on a grid.
-
-In mesh a tooth is somewhere in its gap, most of the time at one of the two flanks, whichever the
-torque presses it to. On a driveline that swings it changes flanks again and again and never lies
-still for long, but the measurements of it pile up at two phases one backlash apart. The density of
-a measurement at phase phi from the middle of the gap, b the backlash:
-
-    p(phi) = (1 - e) (f u N(phi - b/2) + f (1 - u) N(phi + b/2) + (1 - f) U(|phi| < b/2) * N) + e / pitch
-
-N is a measurement's own error, f the share of measurements at a flank, u the share of those at the
-upper one, and e that of measurements gone astray by an impact. Measurements at one flank alone leave
-two middles alike. What decides then is that the slip at which tooth and flank met has carried the
-tooth to the flank on its side: u is near 1 or 0 for the first measurements, and 1/2 for all others.
-
-Phase references: the angle between gear teeth and sleeve teeth, learned when a gear locks.
-
-The sensor wheels count teeth but do not measure absolute angles (thesis 8.2). In mesh a tooth lies
-in its gap, so the constant between counted angles and phase follows from where it is seen while the
-gear is in mesh (`gap_posterior`). An observation of the phase of a gear in mesh is called a
-measurement. Counting teeth keeps the reference exact; it is lost when the count of either wheel is
-lost. A gear that has been in mesh has a reference from then on, with a standard deviation that says
-how well it is known; plans price it.
 """
 
 from __future__ import annotations

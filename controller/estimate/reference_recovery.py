@@ -1,21 +1,20 @@
 """Phase references that were lost with the tooth numbers, and how they come back.
 
 A reference is a constant between counted angles, so it is unusable once a wheel's teeth are
-numbered anew, until the wheel's tooth pattern is recognised (`tooth_match`). Remembered tooth t + k
+numbered anew, until the wheel's tooth pattern is recognised (`teeth`). Remembered tooth t + k
 being present tooth t on both wheels, the reference of a gear with mesh ratio i = z1/z2 is
 
     offset = remembered - i (k_L pitch_L + 2 pi N) + k_M pitch_M    (modulo the dog teeth's pitch)
 
 with N the layshaft's whole turns since, one number for all gears. The set of possible N is kept for
-all gears together (`turn_candidates`); each gear whose reference is measured excludes the N that
+all gears together (`reference.TurnSet`); each gear whose reference is measured excludes the N that
 contradict it. A gear whose phase is the same for all remaining N is known without having been in
 mesh. If no N remains, the remembered references are wrong: they are dropped, with a line in the
 log.
 
-Watches a gear that has just locked until its phase reference is known.
-
-A measurement is both shafts' angles at the newest edge: there nothing is extrapolated, so an impact
-causes the least error.
+A gear that has just locked is watched until its phase reference is known. A measurement is both
+shafts' angles at the newest edge: there nothing is extrapolated, so an impact causes the least
+error.
 """
 
 from __future__ import annotations

@@ -1,19 +1,18 @@
-"""Which tooth is which: a remembered tooth pattern found again in a wheel that was numbered anew.
+"""The learned errors of a sensor wheel's edges (pitch, eccentricity, duty), and its teeth by them.
 
-After a restart or a standstill any tooth may be number 0. With e the edges' errors, N e = r the
-normal equations of what was seen since (`teeth`), and e = R_k m + noise of variance s2 the
-remembered pattern m turned by k teeth, the least sum of squares over e is, up to a constant
+A wheel of z teeth has 2 z edges; edge 2 k is the rising one of tooth k, 2 k + 1 its falling one.
+Their mean error cannot be seen from the wheel itself and is taken as zero: it is part of the phase
+reference. Learned by `crossing_kernels` over every window in which the shaft moves freely.
+
+After a restart or a standstill any tooth may be number 0: the remembered pattern is then found
+again. With e the edges' errors, N e = r the normal equations of what was seen since, and e = R_k m
++ noise of variance s2 the remembered pattern m turned by k teeth, the least sum of squares over e
+is, up to a constant
 
     J_k = |R_k m|2 / s2 - b_k' A^-1 b_k,    A = N + I / s2,    b_k = r + R_k m / s2,
 
 which is the circular correlation of both patterns, each edge weighed by how well it was seen. J is
 minus twice a log-likelihood: the least J wins where it leads the second by `MARGIN`.
-
-The learned errors of a sensor wheel's edges: pitch errors, eccentricity and duty bias.
-
-A wheel of z teeth has 2 z edges; edge 2 k is the rising one of tooth k, 2 k + 1 its falling one.
-Their mean error cannot be seen from the wheel itself and is taken as zero: it is part of the phase
-reference. Learned by `crossing_kernels` over every window in which the shaft moves freely.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
-"""A wheel's teeth learned while a gear is in mesh, or the clutch drives the shaft.
+"""A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common.
 
-What drives the shaft then is not known, but it is the same for all teeth: over some turns the shaft
-moves by accelerations of short memory, and what comes back with each turn of the wheel is the
-wheel's own. How strong the accelerations are, and how exact an edge's time is, are the figures
-under which the window's edges are likeliest whatever the teeth are: with the normal equations N e =
-r of the tooth errors (`crossing_kernels`), their prior variance v, and the innovations' squares and
-variances s under no errors, twice the negative logarithm of that likelihood is, but for a constant,
+Teeth are learned in neutral, where the shaft moves freely, and with a gear in mesh or a clutch that
+drives the shaft. What drives it then is not known, but it is the same for all teeth: over some
+turns the shaft moves by accelerations of short memory, and what comes back with each turn of the
+wheel is the wheel's own. How strong the accelerations are, and how exact an edge's time is, are the
+figures under which the window's edges are likeliest whatever the teeth are: with the normal
+equations N e = r of the tooth errors (`crossing_kernels`), their prior variance v, and the
+innovations' squares and variances s under no errors, twice the negative logarithm of that
+likelihood is, but for a constant,
 
     squares - r' (N + 1/v)^-1 r + sum log s + log det (N + 1/v)
 
 (the marginal likelihood of a linear model, Bishop, Pattern Recognition and Machine Learning, 3.5).
 The windows in neutral are shorter than that, few, and know no sensor's jitter while the teeth are
 unknown; these come first.
-
-A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common.
 """
 
 from __future__ import annotations

@@ -1,31 +1,27 @@
-"""The sensor clock, as the controller knows it.
+"""The sensor clock as the controller knows it, and when in the sensors' cycle to step.
 
 The controller steps in its own clock and plans in the sensor clock. The offset between them is the
 least `now - stamp` seen lately: every frame says when it was read, and is consumed later than that,
 so the least difference carries the least delay. It errs to the early side by that least delay,
 which the activation lead covers.
 
-An extra step at the arrival of a frame, once a second, to measure the delay of the bus.
+A probe: a frame has no arrival time of its own; it counts from the step that consumes it, which may
+be a tick later. Once a second the controller therefore steps as soon as the first edge frame of a
+read is there, so that the least `now - stamp` contains the bus's delay alone. A controller that
+switches valves itself needs that to be on time; with scheduled activations it saves a tick of lead,
+and so a tick of prediction.
 
-A frame has no arrival time of its own: it counts from the step that consumes it, which may be a
-tick later. Once a second the controller therefore steps as soon as the first edge frame of a read
-is there, so that the least `now - stamp` contains the bus's delay alone. A controller that switches
-valves itself needs that to be on time; with scheduled activations it saves a tick of lead, and so a
-tick of prediction.
+The place of the steps: the sensor side reads once a cycle and sends its frames one after the other.
+A step just before the last of them decides by what is a cycle old, one just after it by what is as
+old as the bus is slow. A tick is as long as that cycle, so steps stay where in it they began,
+wherever that was, until they are moved. They are moved to where a read's frames are awaited no
+longer than needed: longer at once when a step came between the frames of a read, and shorter by
+little with each that did not.
 
-Where in the sensors' cycle the steps lie: soon after the frames of a read are all there.
-
-The sensor side reads once a cycle and sends its frames one after the other. A step just before the
-last of them decides by what is a cycle old, one just after it by what is as old as the bus is slow.
-A tick is as long as that cycle, so steps stay where in it they began, wherever that was, until they
-are moved. They are moved to where a read's frames are awaited no longer than needed: longer at once
-when a step came between the frames of a read, and shorter by little with each that did not.
-
-More lead for activations, after the valve side has refused one because it came late.
-
-On a machine that is late, or a bus that is full, the least delay seen of a read is too large as
-well, so the sensor clock is thought to be further behind than it is. A refusal is the proof: until
-some time without one, activations are sent a tick earlier, and after another refusal two.
+More lead: on a machine that is late, or a bus that is full, the least delay seen of a read is too
+large as well, so the sensor clock is thought to be further behind than it is. A refused activation
+is the proof: until some time without one, activations are sent a tick earlier, and after another
+refusal two.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The memory of the edge gate (`gate_kernels`), and its tuning constants.
+"""The memory of the edge gate (`gate_kernels`), its tuning, and its search for the first tooth.
 
-Which tooth is which on a wheel with missing teeth: pieces of the edge gate (`gate_kernels`).
-
-Every tooth is a candidate for the first edge until the steps seen since fit only one.
+On a wheel with missing teeth every tooth is a candidate for the first edge, until the steps seen
+since fit only one.
 """
 
 from __future__ import annotations

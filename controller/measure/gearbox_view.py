@@ -1,24 +1,18 @@
-"""What a pressure sensor with a lag says of the pressure itself.
+"""What the gearbox's sensors show besides edges: sleeves, gears in mesh, clutch, brake pressure.
 
-A sensor with its filter is a first-order lag, tau m' = p - m, so with Taylor's series
+Clutch: the actuator moves on at the rate of its newest two samples, which says what it will do in
+some hundredths of a second. Further ahead nothing is said.
+
+Brake pressure: a sensor with its filter is a first-order lag, tau m' = p - m, so with Taylor's
+series
 
     m(t) = m(t - tau) + tau m'(t - tau) + tau^2 / 2 m'' + ... = p(t - tau) + tau^2 / 2 m'' + ...
 
 A sample is therefore the pressure one lag earlier, but for its curvature, which is known from the
 two samples before. For 5 ms, samples each 10 ms and a chamber that empties within 60 ms it is 0.04
-bar, and its noise adds 5 % to a sample's.
-
-The brake pressure sensor's offset, learned while the brake's chamber is empty.
-
-With the valve off for long enough the chamber is at the pressure of the air around, so whatever the
+bar, and its noise adds 5 % to a sample's. The sensor's offset is learned while the chamber is
+empty: with the valve off for long enough it is at the pressure of the air around, so whatever the
 sensor shows above that is its offset. Every shift ends with seconds of it.
-
-The clutch's travel as its sensor shows it, and where it will be.
-
-The actuator moves on at the rate of its newest two samples: what it will do in some hundredths of a
-second. Further ahead nothing is said.
-
-Sleeves, clutch and gears as measured: which gear is in mesh by the position sensors.
 """
 
 from __future__ import annotations

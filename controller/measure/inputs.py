@@ -1,19 +1,12 @@
-"""The decoded messages of one step, sorted by use.
+"""What a step is given: its decoded messages, and what one edge frame says by itself.
 
-The inner loop of reading edge frames: stamps of one frame to numbered times.
+Messages are sorted by use. The stamps of an edge frame become numbered times, and teeth over the
+time they took are the shaft's speed: without filter, model and tooth numbers, so errors of the
+estimators do not affect it. The sequence asks by it whether two shafts turn together, which is what
+splitter and range changes wait for: a sleeve's position shows that a step is in mesh, but its
+synchroniser may still be slipping. The guard measures speeds by itself (`guard/own_speed`).
 
 Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
-
-The speed of a shaft straight from one edge frame: teeth over the time they took.
-
-It uses no filter, no model and no tooth numbers, so errors of the estimators do not affect it. The
-sequence checks with it whether two shafts turn together. The guard measures speeds by itself
-(`guard/own_speed`).
-
-Which shafts turn together: what splitter and range changes wait for.
-
-A sleeve's position shows that a step is in mesh, but its synchroniser may still be slipping; the
-speeds show when it has finished.
 """
 
 from __future__ import annotations

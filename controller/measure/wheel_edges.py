@@ -1,21 +1,20 @@
-"""By how many teeth a wheel was renumbered, bounded by the sensor's own running edge number.
+"""From edge frames to teeth: unwrapped times and running tooth numbers of one wheel.
 
+An edge frame is the thesis's figure 2.2: the last 27 timestamps of one polarity as their low 16
+bits, newest first, with the running number of the newest. So a lost frame loses no edge as long as
+fewer than 27 came since, and the tooth number is never lost.
+
+Where it is lost all the same, the running number bounds by how many teeth the wheel was renumbered.
 The sensor goes on counting edges while the gate (`gate_kernels`) is not sure of tooth numbers:
 while frames are lost, and while a wheel stops and starts again. It cannot count backwards, so each
 of E edges may have been a tooth passing in reverse. The tooth that now has number t had number
 t + k before, with k between a - 2 E and a, where a is the count if all edges went forward; some
 teeth are added at both ends for edges that a sensor misses. Where there was no time to stop and
 start again, no edge went backwards and k = a. With k modulo the wheel's teeth known from its tooth
-pattern (`tooth_match`), the number of whole turns follows, or only a few are possible.
+pattern (`estimate/teeth`), the number of whole turns follows, or only a few are possible.
 
 No bound is given after a loss at speed while all frames arrived (the sensor was blind and has not
 counted), nor for a wheel with missing teeth, whose edges are not its teeth.
-
-From edge frames to teeth: unwrapped times and running tooth numbers of one wheel.
-
-An edge frame is the thesis's figure 2.2: the last 27 timestamps of one polarity as their low 16
-bits, newest first, with the running number of the newest. So a lost frame loses no edge as long as
-fewer than 27 came since, and the tooth number is never lost.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ Many such drivelines move at once: a row for each quantity, a column for each dr
 the other where numba compiles it, which takes a fifth of NumPy's time; all as one row of NumPy's
 where compiling is switched off. Both come to the same bits.
 
-How a main shaft moves ahead by a cloud of particles, as one trajectory.
+How the main shaft moves ahead by a cloud of such drivelines is told as one trajectory.
 """
 
 from __future__ import annotations

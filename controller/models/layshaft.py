@@ -1,9 +1,7 @@
-"""How a shaft is taken to move: the models of `motion_kernels`, and predictions with them.
+"""How the layshaft is taken to move: models for `layshaft_kernels`, their input, and predictions.
 
-When the brake valve was and will be driven, in the sensor clock: u_brake of thesis 4.15b.
-
-Commands carry activation times, so the filter's and the predictor's input is known to the
-microsecond, the future included.
+The input is the brake valve, as it was and will be driven, in the sensor clock: u_brake of thesis
+4.15b. Commands carry activation times, so it is known to the microsecond, the future included.
 """
 
 from __future__ import annotations
@@ -56,7 +54,7 @@ class LayshaftState(NamedTuple):
     drag_rad_s2: float = 0.0
     """Steady acceleration beside the viscous friction; negative: it brakes."""
     covariance: Vector | None = None
-    """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
+    """Of the six states of `layshaft_kernels` (6, 6), where the estimator has one."""
     edge_rad2_s: float = 0.0
     """Variance of an edge's angle times the time from edge to edge, where the estimator gives
     it."""
@@ -68,12 +66,12 @@ class LayshaftState(NamedTuple):
 
     @property
     def vector(self) -> Vector:
-        """The six states of `motion_kernels`."""
+        """The six states of `layshaft_kernels`."""
         return np.array([*self[1:4], *self[7:10]])
 
 
 class MotionModel(RecordMemory):
-    """A `motion_kernels.Model`. It is not changed once it is made."""
+    """A `layshaft_kernels.Model`. It is not changed once it is made."""
 
     def __init__(self, rates: Vector, law: Vector, noise: Vector) -> None:
         """Rates a, g and b_d (3,); pressure law (2, SEGMENTS, 3); densities of the driving noises

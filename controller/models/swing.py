@@ -14,10 +14,8 @@ and its noise of density N adds S - A S A' to its covariance, S = N / (4 d) diag
 that of one that has swung for ever.
 
 A step of any length is exact. A driveline that rattles in its backlash moves otherwise
-(`lash_motion`). Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
+(`backlash`). Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 State is updated in place.
-
-How a main shaft moves ahead on a driveline that swings: `swing_kernels` with its memory.
 """
 
 from __future__ import annotations
@@ -259,7 +257,7 @@ def between_ticks(found: Vector, step_us: float, count: int) -> Vector:
 
 
 class SwingRates(NamedTuple):
-    """How the driveline swings; as in `swing_kernels.SwingModel`."""
+    """How the driveline swings; as in `SwingModel`."""
 
     natural_rad_s: float
     decay_per_s: float
@@ -267,7 +265,7 @@ class SwingRates(NamedTuple):
 
 
 class SwingMotion(RecordMemory):
-    """A `swing_kernels.SwingModel`. It is not changed once it is made."""
+    """A `SwingModel`. It is not changed once it is made."""
 
     def __init__(self, white_rad2_s3: float, walk_rad2_s5: float, rates: SwingRates) -> None:
         super().__init__(SWING_MODEL)

@@ -1,7 +1,4 @@
-"""The numeric inner loops of the controller, each one function for live, replay and studies alike.
-
-Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python. State is updated in
-place, because boxing a returned tuple costs more than a whole batch of edges.
+"""The thesis's layshaft, filter and predictions, each one function for live, replay and studies.
 
 The model is the state space of thesis 4.15 with x = [theta_LS, omega_LS, p_valve - p_0]:
 
@@ -13,11 +10,13 @@ form, with phi_x = (1 - e^(-x D))/x, h = (e^(-aD) - e^(-bD))/(b - a), H = (phi_a
     Phi   = [[1, phi_a, -g H], [0, e^(-aD), -g h], [0, 0, e^(-bD)]]
     Gamma = [-g((D - phi_a)/a - H), -g(phi_a - h), 1 - e^(-bD)] K
 
-Where layshaft and phase will be over the actuator delay (thesis 5.4).
+Three ways to predict layshaft and phase over the actuator delay (5.4), as functions of one state:
+linear (5.12), Euler (5.15) and zero-order hold (5.17). The node uses the hold over the known future
+brake commands; it is exact for the model, not only at sampling points, because every switch of the
+input is a step of its own.
 
-Three ways of thesis 5.4 as functions of the same state: linear (5.12), Euler (5.15) and zero-order
-hold (5.17). The node uses the hold over the known future brake commands; it is exact for the model,
-not only at sampling points, because every switch of the input is a step of its own.
+Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python. State is updated in
+place, because boxing a returned tuple costs more than a whole batch of edges.
 """
 
 from __future__ import annotations

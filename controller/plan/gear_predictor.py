@@ -1,7 +1,9 @@
 """Slip and phase of the target gear at times to come, predicted from the estimates of one step.
 
 The layshaft is predicted by zero-order hold over the brake commands, the main shaft with the swing
-of its driveline, or with constant acceleration where that is not estimated.
+of its driveline, or with constant acceleration where that is not estimated. Many times at once are
+worked out by kernels, compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain
+Python.
 """
 
 from __future__ import annotations

@@ -1,19 +1,16 @@
-"""The calibration file on disk: read once at the start, replaced as a whole when more is learned.
+"""What a node keeps on disk from run to run: its calibration, and what a log cannot hold.
 
-A file that is refused is renamed, never overwritten: it may be the only copy of something that can
-be put right by hand, or that belongs to another gearbox.
+The calibration file is read once at the start and replaced as a whole when more is learned. A file
+that is refused is renamed, never overwritten: it may be the only copy of something that can be put
+right by hand, or that belongs to another gearbox. The core says when it knows more (a shift has
+ended, a phase reference has come or gone); the keeper takes the value then and at the end, and has
+it written.
 
-Keeps a controller's calibration file up to date: what a driver puts around the core.
-
-The core says when it knows more (a shift has ended, a phase reference has come or gone); the
-keeper takes the value then and at the end, and has it written.
-
-Keeps what a log cannot hold of a link outage: when each step was, and what it consumed.
-
-While its bus is away a controller goes on deciding, but nothing that it sends reaches a log, and so
-a replay could not go on after the hole. What the lost steps were made of is little: their times,
-and the frames that had still arrived. They are written beside the run header, with those of two
-seconds before (what was sent then may have got stuck on its way) and one second after.
+Of a link outage it is kept when each step was, and what it consumed. While its bus is away a
+controller goes on deciding, but nothing that it sends reaches a log, and so a replay could not go
+on after the hole. What the lost steps were made of is little: their times, and the frames that had
+still arrived. They are written beside the run header, with those of two seconds before (what was
+sent then may have got stuck on its way) and one second after.
 """
 
 from __future__ import annotations

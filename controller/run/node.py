@@ -1,10 +1,9 @@
-"""One controller on a bus: a newcomer leaves it to the one at work, and one that finds another
-beside it switches its valves off and falls silent.
+"""The controller on a bus, alone there: bytes and a time, no decisions.
 
-Both would send the same identifiers with counters of their own, so that the valve side could trust
-neither. Whose frames are whose is known by what was sent from here: an interface may return them.
-
-The controller on a bus: bytes and a time, no decisions.
+A newcomer leaves the bus to the controller at work, and one that finds another beside it switches
+its valves off and falls silent. Both would send the same identifiers with counters of their own, so
+that the valve side could trust neither. Whose frames are whose is known by what was sent from here:
+an interface may return them.
 """
 
 from __future__ import annotations

@@ -1,15 +1,12 @@
-"""What the last bit of a result depends on beside the code: libraries, processor, C library.
-
-Not on Python's minor version, as long as nothing adds floats by `sum`, which is compensated from
-3.12 on. OpenBLAS has other kernels for other processors, and the C library takes FMA where there is
-one; both then round otherwise.
-
-What an XCP master may do with a controller.
-
-The run header: all a replay needs to build the same controller again.
+"""The run header: all a replay needs to build the same controller again.
 
 It is saved beside the log under the name of its hash, and the hash is in every status frame; so a
 log finds its header, and a header that was changed is noticed.
+
+It says as well what the last bit of a result depends on beside the code: libraries, processor, C
+library. Not on Python's minor version, as long as nothing adds floats by `sum`, which is
+compensated from 3.12 on. OpenBLAS has other kernels for other processors, and the C library takes
+FMA where there is one; both then round otherwise.
 """
 
 from __future__ import annotations
@@ -108,7 +105,7 @@ class RunHeader:
     xcp: XcpAccess = XcpAccess.OFF
     """What an XCP master may do. Its changes of the settings are frames, and not in here."""
     arithmetic: str | None = None
-    """What rounding depends on (`settings/arithmetic.py`); None: written before it was kept."""
+    """What rounding depends on (`arithmetic`); None: written before it was kept."""
 
     def canonical(self) -> str:
         """One line of JSON with sorted keys; what is hashed and saved."""

@@ -1,9 +1,8 @@
-"""The valve commands: one for each valve, sent again at every step.
+"""What the states of the sequence share: valve commands, the record of the shift, how a shift ends.
 
-Hardware that can schedule gets the activation time with the command. Hardware that cannot
-(`valve_timing = "immediate"`) gets plain on and off; the controller then steps at that time.
-
-What the states of the sequence share: commands, the record of the shift, how a shift ends.
+There is a command for each valve, sent again at every step. Hardware that can schedule gets the
+activation time with the command. Hardware that cannot (`valve_timing = "immediate"`) gets plain on
+and off; the controller then steps at that time.
 """
 
 from __future__ import annotations

@@ -1,15 +1,12 @@
-"""Main sleeves come to rest in neutral, out of a gear or from before its teeth.
+"""The old gear comes out: clutch open, then the sleeve to neutral (thesis 2.2).
 
 A sleeve is a mass between two chambers and does not stop by itself where it is wanted: it is pulled
-by a pulse that ends before neutral, and comes to rest there in its detent.
+by a pulse that ends before neutral, and comes to rest there in its detent, out of a gear or from
+before its teeth.
 
-The brake's air, before the old gear's sleeve rests in neutral: as soon as its teeth are seen to
-be out and stay so.
-
-Sooner, the guard could not prove that no teeth are loaded: once its valve is off, a sleeve that is
-still between the teeth may stop there.
-
-The old gear comes out: clutch open, then the sleeve to neutral (thesis 2.2).
+The brake gets its air before that, as soon as the teeth are seen to be out and stay so. Sooner, the
+guard could not prove that no teeth are loaded: once its valve is off, a sleeve that is still
+between the teeth may stop there.
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
-"""When a sleeve that was stopped before its gear's teeth may be fired again.
+"""From the firing on: contact, in mesh, or back to neutral and another attempt.
 
-Such a sleeve may meet its gear as its valve opens, so the guard judges the firing at once as if
-it were the last call: the slip has to stay in its window though the layshaft fall on as it has. The
+A sleeve on its way that would meet a tooth is stopped short of the teeth and fired again from
+there. The valve towards the gear goes off and the opposite one on in one instant, for some 10 ms.
+The sleeve then stands before the teeth, vented, held by friction. It is fired again from where it
+stands if that brings a good gap soon enough, and else goes back to neutral.
+
+Such a sleeve may meet its gear as its valve opens, so the guard judges the firing at once as if it
+were the last call: the slip has to stay in its window though the layshaft fall on as it has. The
 speeds that show how it falls are older than the brake's release may be.
 
-How a shift ends whose gear is in mesh: what its way in says of the phase.
-
-A sleeve on its way that would meet a tooth: stopped short of the teeth, fired again from there.
-
-The valve towards the gear goes off and the opposite one on in one instant, for some 10 ms. The
-sleeve then stands before the teeth, vented, held by friction. It is fired again from where it
-stands if that brings a good gap soon enough, and else goes back to neutral (`engage.retract`).
-
-From the firing on: contact, in mesh, or back to neutral and another attempt.
+A gear in mesh ends the shift; its way in says what is known of the phase.
 """
 
 from __future__ import annotations

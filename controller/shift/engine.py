@@ -1,25 +1,19 @@
-"""How the engine's torque is taken away so that nothing swings when the clutch opens.
+"""What the engine is asked for: no torque before the clutch opens, speed in a downshift.
 
-With a gear in mesh engine and vehicle swing against each other on the shafts and tyres between
-them. A torque that is taken away at once leaves the engine but not the twisted shafts. So it is
-planned what is asked of the engine until the plates part, between its own torque as it was and the
-one with which it coasts along with the vehicle, that leaves shafts, wheels and tyres at rest then:
-for several times until then, and the one is taken that costs least. Only the plan's beginning is
-asked for; the next step plans anew from what was seen since (model predictive control; Rawlings,
-Mayne, Diehl 2017, ch. 1; taking a swing away by bounded torque: Singhose, Singer, Seering 1994).
+**Torque.** TSC1 asks for no torque; the engine follows in its own time, and says how far it is
+(EEC1). The clutch sets off so early that its plates part when no more than
+`engine.torque_left_percent` of the engine's reference torque is left. With a gear in mesh engine
+and vehicle swing against each other on the shafts and tyres between them. A torque that is taken
+away at once leaves the engine but not the twisted shafts. So on a driveline that has been seen to
+ring it is planned what is asked of the engine until the plates part, between its own torque as it
+was and the one with which it coasts along with the vehicle, that leaves shafts, wheels and tyres at
+rest then: for several times until then, and the one is taken that costs least. Only the plan's
+beginning is asked for; the next step plans anew from what was seen since (model predictive control;
+Rawlings, Mayne, Diehl 2017, ch. 1; taking a swing away by bounded torque: Singhose, Singer, Seering
+1994).
 
-The engine's torque is taken away before the clutch opens, so that the driveline does not ring.
-
-TSC1 asks for no torque; the engine follows in its own time, and says how far it is (EEC1). The
-clutch sets off so early that its plates part when no more than `engine.torque_left_percent` of the
-engine's reference torque is left.
-
-On a driveline that has been seen to ring the torque is asked for step by step as a plan says that
-leaves shafts, wheels and tyres at rest as the plates part (`unloading`).
-
-Downshifts: the engine brings the layshaft above the new gear's speed (thesis 2.2).
-
-The clutch closes, the engine gets a TSC1 speed request, the clutch opens again; from there the slip
+**Speed.** In a downshift the engine brings the layshaft above the new gear's speed (thesis 2.2):
+the clutch closes, the engine gets a TSC1 speed request, the clutch opens again; from there the slip
 falls as in an upshift. The same is done when a gear has become too slow before it was engaged.
 """
 

@@ -1,11 +1,12 @@
-"""The states between shifts: starting, in gear, in neutral, clutch closing, faulted.
-
-The shift sequence: a table of states, a handler each (thesis 2.2).
+"""The shift sequence: a table of states, a handler each (thesis 2.2).
 
 Up: clutch open, old gear out, brake the layshaft, release the brake, fire the sleeve, see by
 position that the gear is in, close valve and clutch. Down: the engine first brings the layshaft
 above the new gear's speed, through the closed clutch; from there it falls as on the way up.
 Splitter and range move while the main box is in neutral.
+
+The handlers of states between shifts are here (starting, in gear, in neutral, clutch closing,
+faulted), those of a shift in a file for each part of it.
 """
 
 from __future__ import annotations

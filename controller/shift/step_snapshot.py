@@ -1,9 +1,8 @@
-"""The inputs of the shift sequence at one step.
+"""What the shift sequence sees at one step, and what it makes of it over several.
 
-Whether the driveline rings once a gear is out: shafts and tyres that twist, or rigid ones.
-
-How far the engine's torque has fallen, by what the engine says (EEC1), what will be left, and
-how the engine changes its speed meanwhile.
+Over several steps: whether the driveline rings once a gear is out (shafts and tyres that twist, or
+rigid ones), and how far the engine's torque has fallen by what the engine says (EEC1), what will be
+left, and how the engine changes its speed meanwhile.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Whether the brake does as it is commanded.
-
-From neutral to the firing: brake, coast, and choose when to fire (thesis 2.2, 5.4).
-"""
+"""From neutral to the firing: brake, coast, and choose when to fire (thesis 2.2, 5.4)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""From where a sleeve stands, and the switches of its valves, to where the law says it goes.
+"""One main sleeve as its valves drive it, and how well that is known.
 
-One main sleeve as its valves drive it: where the law takes it from its start by their switches,
-by what is known of law and switches, and how well that is known.
+From where it stands and the switches of its valves the law says where it goes; law and switches are
+known with a covariance, and so is the way.
 """
 
 from __future__ import annotations

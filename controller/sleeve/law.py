@@ -1,15 +1,12 @@
-"""What is to be learned of a sleeve, and what the data sheet says of it before anything is.
+"""A sleeve's law: what the data sheet says of it, how it is learned, and what is kept of it.
 
 The valves' conductance is no key of the sheet: it is the one that gives the sheet's delay from
 neutral to contact, so the prior of it hangs together with that of friction, damping, dead volume,
 vents and detent: whatever these are, the delay is known to the sheet's tolerance.
 
-What the samples of a movement say: an iterated extended Kalman filter over a whole movement.
-
-Unknown are what is learned of the sleeve (`law.PARAMETERS`), and how late each switch's spool is
-beyond its valve's learned delay. Both have a prior; the law gives the places in between.
-
-From what is known of a sleeve's law to its part of a calibration file, and back.
+The samples of a movement go through an iterated extended Kalman filter over the whole movement.
+Unknown are the figures of the law (`PARAMETERS`), and how late each switch's spool is beyond its
+valve's learned delay. Both have a prior; the law gives the places in between.
 """
 
 from __future__ import annotations

@@ -1,19 +1,13 @@
-"""What the room says of a sleeve. Times are integer microseconds of the sensor clock.
+"""What a sleeve's stroke comes to: contact with a gear's teeth, a stop, or a rest in neutral.
 
-A sleeve's way to a gear's teeth: when it meets them, and how sure that is.
+Contact is when it meets the teeth, by the law, and how sure that is. What the law leaves of a
+gear's contacts has a bias, and a scatter from stroke to stroke: a normal law with unknown mean and
+variance (normal-inverse-gamma). Where the law explains a stroke, the bias is what it leaves of the
+contact; where it does not, all of the difference is.
 
-What is left of the contacts of one gear when the law has said when they come: its bias and its
-scatter from stroke to stroke.
-
-A normal law with unknown mean and variance (normal-inverse-gamma). Where the law explains a stroke,
-the bias is what it leaves of the contact; where it does not, all of the difference is.
-
-A sleeve in flight that is stopped short of the teeth: its valve off and the opposite one on in
-one instant, that one off again after some 10 ms.
-
-The pulse of one valve that leaves a sleeve at rest in neutral.
-
-What is known of a sleeve's law, as figures, each with its deviation.
+A sleeve in flight is stopped short of the teeth by its valve off and the opposite one on in one
+instant, that one off again after some 10 ms. A pulse of one valve leaves a sleeve at rest in
+neutral. Times are integer microseconds of the sensor clock.
 """
 
 from __future__ import annotations

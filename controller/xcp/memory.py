@@ -1,12 +1,11 @@
-"""The settings that may change between shifts, as four bytes each: a reference page, which is the
-run header's, and a working page.
+"""What an XCP master reads and writes, by address: identity, measured values, calibration pages.
 
-Not among them: the guard's limits, the tick, and what the estimators were built with.
+Measured are the controller's own messages as its newest step sent them, bit for bit, and what is in
+no message: the guard's row, where the sleeves stand, the learned figures.
 
-What a master may measure: the controller's own messages as its newest step sent them, bit for
-bit, and what is in no message: the guard's row, where the sleeves stand, the learned figures.
-
-The addresses of an XCP master: identity, measured values, calibration pages.
+The pages hold the settings that may change between shifts, as four bytes each: a reference page,
+which is the run header's, and a working page. Not among them: the guard's limits, the tick, and
+what the estimators were built with.
 """
 
 from __future__ import annotations

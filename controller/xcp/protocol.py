@@ -1,9 +1,8 @@
-"""Codes of the XCP protocol layer (ASAM MCD-1 XCP 1.1, part 2), those that are used here.
+"""The XCP protocol layer (ASAM MCD-1 XCP 1.1, part 2): the codes that are used here, and DAQ lists.
 
-Dynamic DAQ lists: which bytes are sent at which event.
-
-A list has object descriptor tables (ODT); each is a packet of its own, and the packet identifier is
-the ODT's number counted over all lists. The first packet of a list carries the time stamp.
+A dynamic DAQ list says which bytes are sent at which event. It has object descriptor tables (ODT);
+each is a packet of its own, and the packet identifier is the ODT's number counted over all lists.
+The first packet of a list carries the time stamp.
 """
 
 from __future__ import annotations
