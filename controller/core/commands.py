@@ -55,7 +55,7 @@ class GuardedCommands:
         events: list[str],
     ) -> list[Frame]:
         """The commands' frames; heard: all frames of this step, which the guard reads by itself.
-        What a guard has blocked is told to the sequence, and in the events."""
+        What a guard has blocked the sequence learns, and the events say."""
         guard, sequence = self.guard, self._sequence
         frame = self._transmitter.encode(valves)
         seen = self._view.take(heard, now_us, snapshot.now_us)

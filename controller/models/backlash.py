@@ -18,7 +18,7 @@ Many such drivelines move at once: a row for each quantity, a column for each dr
 the other where numba compiles it, which takes a fifth of NumPy's time; all as one row of NumPy's
 where compiling is switched off. Both come to the same bits.
 
-How the main shaft moves ahead by a cloud of such drivelines is told as one trajectory.
+A cloud of such drivelines moves ahead as one trajectory of the main shaft.
 """
 
 from __future__ import annotations

@@ -36,25 +36,6 @@ RELEASE_HORIZON_US: Final = 90 * MS_IN_US
 """A release further ahead than this is not sent yet: the valve side accepts at most 100 ms."""
 
 
-def brake_holds(sheet: GearboxSheet, predictor: GearPredictor, measured_pa: float) -> bool:
-    """Whether the brake still has the pressure of which it should be rid: a valve that is stuck. No
-    gear may be engaged then, and no prediction holds that lets the pressure fall.
-
-    measured_pa: the newest sample, gauge. An estimate that has just begun with a free layshaft does
-    not know it yet."""
-    brake, state = sheet.brake, predictor.layshaft
-    switches = predictor.brake.arrays()
-    is_known = switches.shape[1] > 0
-    if is_known and switches[1, -1] > 0.0:
-        return False
-    since_s = (state.time_us - float(switches[0, -1])) * US if is_known else math.inf
-    slowest_s = brake.time_constant_s * (1.0 + brake.time_constant_tolerance)
-    if since_s > SETTLED * slowest_s and measured_pa > HELD_SHARE * sheet.air.supply_gauge_pa:
-        return True
-    left = math.exp(-max(0.0, since_s) / slowest_s)
-    return state.pressure_pa > (left + HELD_SHARE) * sheet.air.supply_gauge_pa
-
-
 def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Brakes the layshaft for a gear that is too fast, and plans the brake's release and the
     firing.
@@ -259,3 +240,22 @@ def plan_firing(
         context.board.schedule(valve, True, plan.fire_us, snapshot.now_us)
         context.decision = plan
     shift.plan = plan
+
+
+def brake_holds(sheet: GearboxSheet, predictor: GearPredictor, measured_pa: float) -> bool:
+    """Whether the brake still has the pressure of which it should be rid: a valve that is stuck. No
+    gear may be engaged then, and no prediction holds that lets the pressure fall.
+
+    measured_pa: the newest sample, gauge. An estimate that has just begun with a free layshaft does
+    not know it yet."""
+    brake, state = sheet.brake, predictor.layshaft
+    switches = predictor.brake.arrays()
+    is_known = switches.shape[1] > 0
+    if is_known and switches[1, -1] > 0.0:
+        return False
+    since_s = (state.time_us - float(switches[0, -1])) * US if is_known else math.inf
+    slowest_s = brake.time_constant_s * (1.0 + brake.time_constant_tolerance)
+    if since_s > SETTLED * slowest_s and measured_pa > HELD_SHARE * sheet.air.supply_gauge_pa:
+        return True
+    left = math.exp(-max(0.0, since_s) / slowest_s)
+    return state.pressure_pa > (left + HELD_SHARE) * sheet.air.supply_gauge_pa

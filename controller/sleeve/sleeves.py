@@ -413,12 +413,8 @@ class Sleeves:
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
         contact_us = self.from_neutral(gear).contact_us
         self.supply_pa = supply_pa
-        return SleeveRecord(
-            delay_s=max(contact_us * US, self._least_s),
-            samples=chance.weight,
-            scatter_s=chance.scatter_s,
-            scatter_samples=chance.freedom,
-        )
+        delay_s = max(contact_us * US, self._least_s)
+        return SleeveRecord(delay_s, chance.weight, chance.scatter_s, chance.freedom)
 
     def laws(self) -> SleeveLawRecords:
         """What it keeps of the sleeves whose law was learned."""
