@@ -182,7 +182,7 @@ async def run_controller(
     address: int = OWN_ADDRESS,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
-    OtherControllerError where there is another one on the bus (`controller/run/node.py`).
+    OtherControllerError where there is another one on the bus.
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, reports its trouble codes and answers
