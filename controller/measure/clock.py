@@ -48,8 +48,8 @@ BACK_US: Final = 200_000
 """So does one this far behind the newest: frames keep their order, but for what a bus delays."""
 
 EVERY_US: Final = 1_000_000
-"""In this time 200 ppm of drift are 0.2 ms, and one step more in a hundred leaves cyclic frames
-their cycle; the clock looks back over some."""
+"""From probe to probe. In this time 200 ppm of drift are 0.2 ms, and one step more in a hundred
+leaves cyclic frames their cycle; the clock looks back over some."""
 FIRST_OF_A_READ: Final = CODECS[EdgesInputRise.__name__].spec.can_id
 """The edge frame with the highest bus priority of a read: it arrives first."""
 
@@ -64,13 +64,13 @@ late is forgotten within seconds."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
 MOST_SHARE: Final = 0.8
-"""Of a tick: they are awaited no longer."""
+"""A read's frames are awaited for no longer than this share of a tick."""
 CYCLE_SHARE: Final = 0.02
 """The sensors' cycle may differ so much from a tick; with another one there is nothing to keep."""
 
 MOST_TICKS: Final = 3
 KEPT_US: Final = 10_000_000
-"""So long after a refusal."""
+"""More lead is kept for so long after a refusal."""
 
 
 class SensorClockEstimate:

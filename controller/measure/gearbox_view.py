@@ -30,7 +30,7 @@ from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
 LONGEST_US: Final = 30_000
-"""Between two samples; beyond that nothing is said of the way there."""
+"""Longest time between two pressure samples; beyond that nothing is said of the way there."""
 
 REST_TIME_CONSTANTS: Final = 8.0
 """A chamber has emptied this many time constants after its valve went off: to 1 / 3000 of its
