@@ -28,7 +28,7 @@ from meshpoint.units import DEG, RPM
 MS_IN_US: Final = 1000
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
-"""The strategies of the DBC's value table; `strategies.table` has the class of each."""
+"""The strategies of the DBC's value table; `plan/strategist` has the class of each."""
 ESTIMATOR_NAMES: Final = {
     "window": Estimator.WINDOW,
     "thesis": Estimator.THESIS,
