@@ -130,7 +130,7 @@ def bus_page() -> str:
         f"controller makes one step more each {PROBE_NS / 1e9:g} s, to measure the delay of the "
         "bus. A node whose waiting frames overtake each other mixes the frames of two steps when "
         "the bus is full; a log of it cannot be verified, because the status frame closes a step "
-        "([decision 0004](../decisions/0004-status-frame-closes-a-step.md)).", "",
+        "([decision 0002](../decisions/0002-messages-from-the-dbc.md)).", "",
         f"All frames at their longest take {load(apart):.1%} of the bus.", "",
     ]  # fmt: skip
     heads = ("message", "identifier", "sender", "bytes", "longest us", "least interval ms",

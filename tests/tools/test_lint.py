@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import lint
 import pytest
 from rules.bench import wrong_with
+from rules.decisions import missing_in, row_of
 from rules.docstrings import fragments_in
 from rules.glossary import retired_in
 from rules.house import hides_imports, imported
@@ -31,6 +32,20 @@ def test_a_word_is_found_as_a_whole_and_over_a_line_s_end() -> None:
     assert retired_in("it was drawn\nanew") == ["drawn anew"]
     assert retired_in("Told by nobody") == ["told"]
     assert retired_in("untold, of course; `told`, [x](drawn-anew.md)") == []
+
+
+def test_the_table_s_row_of_a_decision_is_what_the_record_says() -> None:
+    status = "**Status.** Accepted 2026-11-22 (most).\n0026 and\n0027 are folded in."
+    record = f"# 0016 A filter\n\n{status}\n\n**Decided.** All.\n"
+    row = "| [0016 A filter](0016-cloud.md) | Accepted 2026-11-22 | 0026, 0027 |"
+    assert row_of("0016-cloud.md", record) == row
+    assert row_of("0016-cloud.md", record.replace("0016", "0017")) is None
+    assert row_of("0016-cloud.md", record.replace("Status", "State")) is None
+
+
+def test_a_decision_that_there_is_not_is_found() -> None:
+    text = "decision\n0007, docs/decisions/0016-cloud.md, decisions 0016 and 0x0027"
+    assert missing_in(text, ["0016-cloud.md"]) == ["0007"]
 
 
 @pytest.mark.parametrize(
