@@ -2,9 +2,7 @@
 
 The calibration file is read once at the start and replaced as a whole when more is learned. A file
 that is refused is renamed, never overwritten: it may be the only copy of something that can be put
-right by hand, or that belongs to another gearbox. The core says when it knows more (a shift has
-ended, a phase reference has come or gone); the keeper takes the value then and at the end, and has
-it written.
+right by hand, or that belongs to another gearbox.
 
 Of a link outage it is kept when each step was, and what it consumed. While its bus is away a
 controller goes on deciding, but nothing that it sends reaches a log, and so a replay could not go
@@ -25,7 +23,6 @@ from typing import Any, Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.bus.records import Records
-from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
@@ -125,35 +122,6 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-class CalibrationKeeper(AroundCore[ControllerCore]):
-    """A controller core that hands its calibration out whenever it knows more."""
-
-    def __init__(self, core: ControllerCore, keep: Keep, written: Callable[[int], str]) -> None:
-        """`written` says in words when it is, of the driver's clock in microseconds."""
-        super().__init__(core)
-        self._keep = keep
-        self._written = written
-        self._knows = core.knows
-
-    def step(self, now_us: int) -> Step:
-        """The core's step; after it the calibration where more is known."""
-        step = self._core.step(now_us)
-        if self._core.knows != self._knows:
-            self._knows = self._core.knows
-            step.events.extend(self.keep(now_us))
-        return step
-
-    def shutdown(self, now_us: int) -> Step:
-        """The core's last frames, and its last calibration."""
-        step = self._core.shutdown(now_us)
-        return Step(step.frames, [*step.events, *self.keep(now_us)])
-
-    def keep(self, now_us: int) -> list[str]:
-        """Hands the calibration out now; lines for the log."""
-        line = self._keep(self._core.calibration(self._written(now_us)))
-        return [] if line is None else [line]
 
 
 class CalibrationWriter:

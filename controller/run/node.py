@@ -4,6 +4,9 @@ A newcomer leaves the bus to the controller at work, and one that finds another 
 its valves off and falls silent. Both would send the same identifiers with counters of their own, so
 that the valve side could trust neither. Whose frames are whose is known by what was sent from here:
 an interface may return them.
+
+The core says when it knows more (a shift has ended, a phase reference has come or gone); the keeper
+takes the calibration then and at the end, and has it written.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.run.kept import CalibrationKeeper, Keep, OutageRecord
+from meshpoint.controller.run.kept import Keep, OutageRecord
 from meshpoint.controller.run.warm_up import warm_up
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
@@ -165,6 +168,35 @@ class OnlyController(AroundCore[Core]):
         if self.conflict or not self._is_at_work:
             return Step([], [])
         return self._core.shutdown(now_us)
+
+
+class CalibrationKeeper(AroundCore[ControllerCore]):
+    """A controller core that hands its calibration out whenever it knows more."""
+
+    def __init__(self, core: ControllerCore, keep: Keep, written: Callable[[int], str]) -> None:
+        """`written` says in words when it is, of the driver's clock in microseconds."""
+        super().__init__(core)
+        self._keep = keep
+        self._written = written
+        self._knows = core.knows
+
+    def step(self, now_us: int) -> Step:
+        """The core's step; after it the calibration where more is known."""
+        step = self._core.step(now_us)
+        if self._core.knows != self._knows:
+            self._knows = self._core.knows
+            step.events.extend(self.keep(now_us))
+        return step
+
+    def shutdown(self, now_us: int) -> Step:
+        """The core's last frames, and its last calibration."""
+        step = self._core.shutdown(now_us)
+        return Step(step.frames, [*step.events, *self.keep(now_us)])
+
+    def keep(self, now_us: int) -> list[str]:
+        """Hands the calibration out now; lines for the log."""
+        line = self._keep(self._core.calibration(self._written(now_us)))
+        return [] if line is None else [line]
 
 
 async def run_controller(

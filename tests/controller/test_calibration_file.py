@@ -13,7 +13,8 @@ from calibration_example import SHEET, TEXT, example
 
 from meshpoint.bus.core import Step
 from meshpoint.controller.run import kept
-from meshpoint.controller.run.kept import CalibrationKeeper, CalibrationWriter, load, save
+from meshpoint.controller.run.kept import CalibrationWriter, load, save
+from meshpoint.controller.run.node import CalibrationKeeper
 from meshpoint.controller.settings.learned import Calibration
 
 
