@@ -73,7 +73,7 @@ acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
 
 kernels: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(BIN)/python -m meshpoint.bench.compiling
 
 # The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose. Its
 # processor takes this machine's kernels; it would compile for an hour.
@@ -178,7 +178,7 @@ types: $(VENV)/test.stamp
 
 # docs/reference/, from the code
 reference: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.help.reference docs/reference
+	$(BIN)/python -m meshpoint.cli.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
 
 # What is made from dbc/meshpoint.dbc and dbc/truck.dbc, after a change of them.

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from benchmarks.studies.record import Given
+from meshpoint.base.errors import CommandError
 from meshpoint.controller.models.linear import layshaft_model
 from meshpoint.controller.models.linear_kernels import propagate
 from meshpoint.controller.settings.settings import ControllerSettings
@@ -21,7 +22,6 @@ from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.errors import CommandError
 from meshpoint.units import BAR, RPM
 
 RISE_SHARE: Final = 1.0 - math.exp(-1.0)

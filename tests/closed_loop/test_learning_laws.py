@@ -16,8 +16,8 @@ from meshpoint.controller.settings.learned import Calibration, read_calibration
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
+from meshpoint.results.rows import RowCollector
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.results.rows import RowCollector
 
 SHEET = load_sheet("truck12")
 SHIFTS, LIMIT_US = 8, 60_000_000

@@ -14,8 +14,8 @@ from meshpoint.controller.settings.arithmetic import arithmetic
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Session, Verification
 
 
 def verify(loop: Loop, frames: list[Frame], folder: Path) -> Session:

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.plan.strategies.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.results.rows import ShiftRow
 
 LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
 """Slip falls so slowly that another gap comes before the gear is too slow."""

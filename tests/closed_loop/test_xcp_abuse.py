@@ -12,6 +12,7 @@ from pathlib import Path
 from loop_bench import Loop
 from xcp_master import address_of, master, refusal, settings_of, verdict
 
+from meshpoint.base.version import product_version
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
@@ -26,8 +27,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.tables import TableError
-from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.version import product_version
+from meshpoint.replays.session import Verification
 
 
 def test_a_thousand_downloads_leave_every_setting_in_its_range(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from live_command import ROOT, live
 
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 AIM = "window.aim_slip_rpm"
 

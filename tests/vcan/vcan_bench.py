@@ -24,8 +24,8 @@ from patience import POLL_S, Patience, until
 
 from meshpoint.bus.light_can import load_can
 from meshpoint.bus.pace import PACED_NODES, PaceFile
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.table import build_parser
+from meshpoint.cli.main import main
+from meshpoint.cli.table import build_parser
 
 load_can()  # as every command does: pandas alone takes an emulated processor half a minute
 for _name in ("up", "rig", "controller", "request", "replay"):
