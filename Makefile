@@ -77,9 +77,11 @@ kernels: $(VENV)/test.stamp
 
 # The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose. Its
 # processor takes this machine's kernels; it would compile for an hour.
+# Neither has it to compile what Python loads: the tests are collected here before.
 # The limit is the last resort against a hang: what is waited for in there is bus time.
 vcan: kernels
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
+	$(BIN)/python -m pytest tests/vcan/test_vcan.py --collect-only -q
 	tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan/test_vcan.py -v --durations=0
 
 # A gearbox that stands, behind the board's firmware, on vcan0: ready, and each output right.
