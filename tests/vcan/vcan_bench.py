@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import cantools.database
 from patience import POLL_S, Patience, until
 
-from meshpoint.bus.light_can import load_can
 from meshpoint.bus.pace import PACED_NODES, PaceFile
 from meshpoint.controller.run.warm_up import warm_up as load_controller_kernels
 from meshpoint.gearbox import load_sheet
@@ -32,7 +31,6 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.table import build_parser
 
-load_can()  # as every command does: pandas alone takes an emulated processor half a minute
 for _name in ("up", "rig", "controller", "request", "replay"):
     build_parser(_name)  # loads the command, before anything is forked
 
