@@ -96,7 +96,7 @@ SILKIT := $(VENV)-silkit
 silkit: wheel
 	python=$$(PYTHON=$(PYTHON) tools/silkit-python) && \
 	    $(MAKE) --no-print-directory VENV=$(SILKIT) PYTHON=$$python $(SILKIT)/test.stamp
-	$(SILKIT)/bin/python -m pip install --quiet --no-deps --force-reinstall dist/*.whl
+	$(SILKIT)/bin/python -m pip install --quiet --no-compile --no-deps --force-reinstall dist/*.whl
 	cd tests && $(CURDIR)/$(SILKIT)/bin/pytest -o pythonpath= -m "device and not long" silkit
 
 # The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
