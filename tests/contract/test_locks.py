@@ -77,7 +77,7 @@ def test_what_the_project_asks_for_is_locked() -> None:
 # ------------------------------------------------------ actions and images ----
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-BUILT_HERE = {"meshpoint:0.1.0"}
+BUILT_HERE = {"meshpoint:local"}
 """Images that no registry has: docker-compose.yml and tools/test-containers build them."""
 DEBOOTSTRAPPED = "debian:12.11-slim"
 """Made on the spot by tools/test-containers where there is only podman, so without a digest."""

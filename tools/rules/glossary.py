@@ -21,14 +21,15 @@ ALWAYS = {"told", "drawn anew", "misfit", "course"}
 
 
 def checked() -> list[Path]:
-    """README, the pages of docs/ but the decisions, which are history, and the code of CODE."""
+    """README and the pages beside it, those of docs/ but the decisions, which are history, and the
+    code of CODE."""
     pages = [
         path
         for path in sorted((ROOT / "docs").rglob("*.md"))
         if path != GLOSSARY and not path.is_relative_to(HISTORY)
     ]
     code = [path for name in CODE for path in sorted((ROOT / name).rglob("*.py"))]
-    return [ROOT / "README.md", *pages, *code]
+    return [*sorted(ROOT.glob("*.md")), *pages, *code]
 
 
 def retired_in(text: str) -> list[str]:
