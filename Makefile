@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: release publish dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -67,6 +67,21 @@ pythons: wheel
 wheel: $(VENV)/test.stamp
 	rm -rf build/lib dist/*.whl
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
+
+# All of a release but publishing it (docs/releasing.md): source archive and wheel in dist/, looked at,
+# each installed in each Python that is here, every command of README once.
+release: $(VENV)/release.stamp
+	rm -rf dist
+	tools/build-dist dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python tools/release.py content dist
+	for each in dist/*; do PYTHON=$(PYTHON) tools/test-pythons --whole $$each || exit 1; done
+	PYTHON=$(PYTHON) tools/test-installed dist
+	@$(BIN)/python tools/release.py lacks || echo "all of it works; it cannot be released before that is done"
+
+# The one command that releases: tags this commit, and the tag's workflow publishes it.
+publish: release
+	$(BIN)/python tools/release.py tag
 
 # Real processes through the commands alone; some minutes.
 acceptance: $(VENV)/test.stamp
@@ -205,6 +220,10 @@ locks:
 
 $(VENV)/docs.stamp: $(VENV)/test.stamp locks/docs.txt
 	$(INSTALL) --require-hashes -r locks/docs.txt
+	touch $@
+
+$(VENV)/release.stamp: $(VENV)/docs.stamp locks/release.txt
+	$(INSTALL) --require-hashes -r locks/release.txt
 	touch $@
 
 # The documentation as a site in build/site. A link that leads nowhere is an error.

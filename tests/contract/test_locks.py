@@ -32,7 +32,7 @@ def requirements(lock: Path) -> list[str]:
 
 
 def test_every_pin_of_constraints_is_in_one_lock_with_its_version() -> None:
-    assert {path.stem for path in LOCKS} == {"build", "run", "test", "firmware", "docs"}
+    assert {path.stem for path in LOCKS} == {"build", "run", "test", "firmware", "docs", "release"}
     locked: dict[str, str] = {}
     for lock in LOCKS:
         assert not locked.keys() & pins(lock).keys(), "a package is in one of them"
@@ -66,6 +66,7 @@ def test_what_the_project_asks_for_is_locked() -> None:
         "test": project["project"]["optional-dependencies"]["test"],
         "firmware": project["project"]["optional-dependencies"]["firmware"],
         "docs": project["project"]["optional-dependencies"]["docs"],
+        "release": project["project"]["optional-dependencies"]["release"],
     }
     held: set[str] = set()
     for lock, wanted in asked.items():
