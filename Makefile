@@ -117,9 +117,11 @@ controllers: kernels
 	tools/with-vcan --controllers --timeout 5400 \
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 
-# with-vcan as other projects have it, and python-can's own SocketCAN tests in it.
+# with-vcan as other projects have it, as a command and as an action, and python-can's own SocketCAN tests
+# in it.
 vcan-alone: $(VENV)/test.stamp
 	tools/vcan/test-with-vcan
+	actions/with-vcan/test
 	tools/vcan/test-python-can $(CURDIR)/$(BIN)/python
 
 # Every figure and table of the thesis, ours beside it, on one page: out/study/studies.html
