@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: release publish dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dist sbom release publish docs-version dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -68,16 +68,25 @@ wheel: $(VENV)/test.stamp
 	rm -rf build/lib dist/*.whl
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
-# All of a release but publishing it (docs/releasing.md): source archive and wheel in dist/, looked at,
-# each installed in each Python that is here, every command of README once.
-release: $(VENV)/release.stamp
+# Source archive and wheel in dist/, looked at.
+dist: $(VENV)/release.stamp
 	rm -rf dist
 	tools/build-dist dist
 	$(BIN)/twine check --strict dist/*
 	$(BIN)/python tools/release.py content dist
+
+# What an installation consists of (CycloneDX), from what pip is to install for it.
+sbom: $(VENV)/release.stamp
+	mkdir -p build/sbom
+	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --mc-type library --output-reproducible \
+	    --output-file build/sbom/meshpoint.cdx.json locks/run.txt
+
+# All of a release but publishing it (docs/releasing.md): each of both installed in each Python that is
+# here, every command of README once.
+release: dist sbom
 	for each in dist/*; do PYTHON=$(PYTHON) tools/test-pythons --whole $$each || exit 1; done
 	PYTHON=$(PYTHON) tools/test-installed dist
-	@$(BIN)/python tools/release.py lacks || echo "all of it works; it cannot be released before that is done"
+	@$(BIN)/python tools/release.py lacks || echo "all of it works; before it is released, this has to be done"
 
 # The one command that releases: tags this commit, and the tag's workflow publishes it.
 publish: release
@@ -231,6 +240,11 @@ $(VENV)/release.stamp: $(VENV)/docs.stamp locks/release.txt
 # The documentation as a site in build/site. A link that leads nowhere is an error.
 docs: $(VENV)/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
+# The same under a version, beside the others, on the branch gh-pages of this clone.
+docs-version: $(VENV)/release.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases --alias-type copy "$(VERSION)" latest
+	$(BIN)/mike set-default latest
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

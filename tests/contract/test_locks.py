@@ -88,6 +88,7 @@ DEBOOTSTRAPPED = "debian:12.11-slim"
 def test_every_action_is_a_commit_and_says_which_version_that_was(workflow: Path) -> None:
     used = re.findall(r"^\s*-?\s*uses: *(.*)$", workflow.read_text(encoding="utf-8"), re.MULTILINE)
     assert used
+    used = [action for action in used if not action.startswith("./")]  # of this very commit
     pinned = re.compile(r"[\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+")
     assert [action for action in used if not pinned.fullmatch(action)] == []
 
