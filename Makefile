@@ -243,7 +243,7 @@ docs: $(VENV)/docs.stamp
 
 # The same under a version, beside the others, on the branch gh-pages of this clone.
 docs-version: $(VENV)/release.stamp
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases --alias-type copy "$(VERSION)" latest
+	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases --alias-type copy "$(VERSION)" latest
 	$(BIN)/mike set-default latest
 
 contracts: $(VENV)/test.stamp
