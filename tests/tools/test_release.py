@@ -131,6 +131,13 @@ def test_a_source_archive_has_what_builds_it_and_nothing_that_was_made(tmp_path:
     ]
 
 
+def test_the_repository_has_no_links_of_which_an_archive_would_hold_copies() -> None:
+    done = subprocess.run(
+        ["git", "ls-files", "--stage"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert [line for line in done.stdout.splitlines() if line.startswith("120000 ")] == []
+
+
 def test_what_has_grown_beyond_its_bound_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
