@@ -98,6 +98,7 @@ def test_every_action_is_a_commit_and_says_which_version_that_was(workflow: Path
     [
         ("Dockerfile", r"^(?:FROM|ARG BASE=) *(\S+)"),
         ("docker-compose.yml", r"^\s*image: *(\S+)"),
+        (".devcontainer/devcontainer.json", r'^\s*"image": *"(\S+)"'),
         (".github/workflows/ci.yml", r"^\s*(?:container|image): *(\S+)"),
     ],
 )
