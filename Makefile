@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dist sbom release publish docs-version dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -68,6 +68,30 @@ wheel: $(VENV)/test.stamp
 	rm -rf build/lib dist/*.whl
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
+# Source archive and wheel in dist/, looked at.
+dist: $(VENV)/release.stamp
+	rm -rf dist
+	tools/build-dist dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python tools/release.py content dist
+
+# What an installation consists of (CycloneDX), from what pip is to install for it.
+sbom: $(VENV)/release.stamp
+	mkdir -p build/sbom
+	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --mc-type library --output-reproducible \
+	    --output-file build/sbom/meshpoint.cdx.json locks/run.txt
+
+# All of a release but publishing it (docs/releasing.md): each of both installed in each Python that is
+# here, every command of README once.
+release: dist sbom
+	for each in dist/*; do PYTHON=$(PYTHON) tools/test-pythons --whole $$each || exit 1; done
+	PYTHON=$(PYTHON) tools/test-installed dist
+	@$(BIN)/python tools/release.py lacks || echo "all of it works; before it is released, this has to be done"
+
+# The one command that releases: tags this commit, and the tag's workflow publishes it.
+publish: release
+	$(BIN)/python tools/release.py tag
+
 # Real processes through the commands alone; some minutes.
 acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
@@ -106,9 +130,11 @@ controllers: kernels
 	tools/with-vcan --controllers --timeout 5400 \
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 
-# with-vcan as other projects have it, and python-can's own SocketCAN tests in it.
+# with-vcan as other projects have it, as a command and as an action, and python-can's own SocketCAN tests
+# in it.
 vcan-alone: $(VENV)/test.stamp
 	tools/vcan/test-with-vcan
+	actions/with-vcan/test
 	tools/vcan/test-python-can $(CURDIR)/$(BIN)/python
 
 # Every figure and table of the thesis, ours beside it, on one page: out/study/studies.html
@@ -211,9 +237,18 @@ $(VENV)/docs.stamp: $(VENV)/test.stamp locks/docs.txt
 	$(INSTALL) --require-hashes -r locks/docs.txt
 	touch $@
 
+$(VENV)/release.stamp: $(VENV)/docs.stamp locks/release.txt
+	$(INSTALL) --require-hashes -r locks/release.txt
+	touch $@
+
 # The documentation as a site in build/site. A link that leads nowhere is an error.
 docs: $(VENV)/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
+# The same under a version, beside the others, on the branch gh-pages of this clone.
+docs-version: $(VENV)/release.stamp
+	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases --alias-type copy "$(VERSION)" latest
+	$(BIN)/mike set-default latest
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

@@ -20,6 +20,7 @@ from rules import (
     house,
     opening,
     printing,
+    releases,
     support,
 )
 
@@ -32,6 +33,7 @@ MODULES = (
     house,
     opening,
     printing,
+    releases,
     support,
 )
 RULES = {module.__name__.rpartition(".")[2]: module for module in MODULES}

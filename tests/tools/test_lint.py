@@ -13,6 +13,7 @@ from rules.glossary import retired_in
 from rules.house import hides_imports, imported
 from rules.opening import readings
 from rules.printing import prints
+from rules.releases import wrong_in
 
 
 def test_a_finding_is_said_with_its_rule_and_ends_with_1(
@@ -104,3 +105,23 @@ def test_an_old_name_and_a_hidden_import_are_found() -> None:
 )  # fmt: skip
 def test_a_command_that_cannot_be_typed_is_found(command: str, is_wrong: bool) -> None:
     assert bool(wrong_with(command)) is is_wrong
+
+
+CHANGELOG = "# Changelog\n\n## [Unreleased]\n\n## [0.2.0] - 2027-01-31\n\n### Added\n\n- A gear.\n"
+
+
+@pytest.mark.parametrize(
+    ("changelog", "found"),
+    [
+        (CHANGELOG, []),
+        (CHANGELOG.replace("[0.2.0]", "[0.1.0]"), ["no section [0.2.0]"]),
+        (CHANGELOG.replace("## [Unreleased]\n", ""), ["does not begin with [Unreleased]"]),
+        (CHANGELOG.replace("Added", "Wishes"), ["no heading of Keep a Changelog: Wishes"]),
+        (CHANGELOG + "- One more.\n" * 120, ["more than 120 lines"]),
+    ],
+)
+def test_a_changelog_is_short_and_has_the_version_under_known_headings(
+    changelog: str, found: list[str]
+) -> None:
+    said = list(wrong_in(changelog, "0.2.0"))
+    assert [line[: len(start)] for line, start in zip(said, found, strict=True)] == found

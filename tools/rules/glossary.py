@@ -20,10 +20,10 @@ ALWAYS = {"told", "drawn anew", "misfit", "course"}
 
 
 def checked() -> list[Path]:
-    """README, the pages of docs/, and the code of CODE."""
+    """README and the pages beside it, those of docs/, and the code of CODE."""
     pages = [path for path in sorted((ROOT / "docs").rglob("*.md")) if path != GLOSSARY]
     code = [path for name in CODE for path in sorted((ROOT / name).rglob("*.py"))]
-    return [ROOT / "README.md", *pages, *code]
+    return [*sorted(ROOT.glob("*.md")), *pages, *code]
 
 
 def retired_in(text: str) -> list[str]:
