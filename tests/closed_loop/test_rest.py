@@ -17,7 +17,7 @@ from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, Setup, simulate
 
 SHEET = load_sheet("truck12")
-SEED, SHIFTS = 2, 4
+SEED, SHIFTS = 2, 3
 PAIR = (8, 10)
 
 
