@@ -13,7 +13,8 @@ BIN := $(VENV)/bin
 # else anew, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Packages by the digests of locks/ (tools/lock-packages). --no-compile: of some 100 MB of Python a run
+# Packages by the digests of locks/ (tools/lock-packages), each of which is in one lock alone: two are
+# installed at a time. --no-compile: of some 100 MB of Python a run
 # imports a tenth, and compiles that as it does.
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile --no-deps
 ITSELF := --no-build-isolation -e .
@@ -26,7 +27,8 @@ $(VENV)/run.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt
 
 $(VENV)/test.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt locks/test.txt
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) --require-hashes -r locks/build.txt -r locks/run.txt -r locks/test.txt
+	$(INSTALL) --require-hashes -r locks/test.txt & others=$$!; \
+	    $(INSTALL) --require-hashes -r locks/build.txt -r locks/run.txt && wait $$others
 	$(INSTALL) $(ITSELF)
 	touch $@ $(VENV)/run.stamp
 

@@ -17,7 +17,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 
 SHEET = load_sheet("truck12")
-SEED, SHIFTS = 2, 4
+SEED, SHIFTS = 2, 3
 PAIR = (8, 10)
 
 
