@@ -46,22 +46,73 @@ def test_an_address_of_nobody_is_named_with_its_line(address: str) -> None:
     assert lacking(f"\n{address}\n") == ["a.toml:2: the placeholder OWNER"]
 
 
+def git(folder: Path, *words: str) -> str:
+    done = subprocess.run(
+        ["git", "-c", "user.name=A", "-c", "user.email=a@example.org", *words],
+        cwd=folder, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A finished version, committed, with a place to push it to."""
+    here = tmp_path / "here"
+    here.mkdir()
+    (here / "CHANGELOG.md").write_text(CHANGELOG, "utf-8")
+    (here / "CITATION.cff").write_text(CITATION, "utf-8")
+    (here / "README.md").write_text("https://github.com/somebody/meshpoint\n", "utf-8")
+    git(tmp_path, "init", "--quiet", "--bare", "there")
+    git(here, "init", "--quiet")
+    git(here, "config", "user.name", "A")
+    git(here, "config", "user.email", "a@example.org")
+    git(here, "remote", "add", "origin", str(tmp_path / "there"))
+    git(here, "add", ".")
+    git(here, "commit", "--quiet", "--message", "0.2.0")
+    monkeypatch.setattr(release, "ROOT", here)
+    monkeypatch.setattr(release, "version", lambda: "0.2.0")
+    return here
+
+
 def test_the_owner_s_name_is_put_in_everywhere_and_then_nothing_is_lacking(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    repository: Path,
 ) -> None:
-    page = tmp_path / "README.md"
+    page = repository / "README.md"
     page.write_text(
         "https://github.com/OWNER/meshpoint, https://OWNER.github.io/, OWNER\n", "utf-8"
     )
-    monkeypatch.setattr(release, "ROOT", tmp_path)
-    for words in (["init", "--quiet"], ["add", "README.md"]):
-        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    assert release.main(["lacks"]) == 1
     assert release.main(["owner", "some-body"]) == 0
     assert page.read_text("utf-8") == (
         "https://github.com/some-body/meshpoint, https://some-body.github.io/, OWNER\n"
     )
-    assert lacking(page.read_text("utf-8")) == []
+    assert release.main(["lacks", "v0.2.0"]) == 0
     assert release.main(["owner", "some body"]) == 2
+
+
+def test_a_finished_version_is_tagged_once_and_its_tag_is_pushed(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert release.main(["tag"]) == 0
+    assert git(repository.parent / "there", "tag") == "v0.2.0\n"
+    assert release.main(["tag"]) == 1
+    assert "v0.2.0 has been tagged before\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("not committed\n", "files that are not committed"),
+        ("https://github.com/OWNER/meshpoint\n", "README.md:1: the placeholder OWNER"),
+    ],
+)
+def test_an_unfinished_one_is_not_tagged(
+    repository: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (repository / "README.md").write_text(text, "utf-8")
+    assert release.main(["tag"]) == 1
+    assert f"{said}\n" in capsys.readouterr().err
+    assert git(repository, "tag") == git(repository.parent / "there", "tag") == ""
 
 
 def test_a_version_has_one_date() -> None:
