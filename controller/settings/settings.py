@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from meshpoint.controller.settings.strategy_file import StrategyFile
-from meshpoint.dbc.messages import Estimator, Strategy
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import EdgesInputRise, Estimator, Strategy
 from meshpoint.gearbox.driveline import Driveline
 from meshpoint.gearbox.sheet import SENSOR_SD_PA, GearboxSheet
 from meshpoint.gearbox.tables import (
@@ -26,6 +27,8 @@ from meshpoint.gearbox.tables import (
 from meshpoint.units import DEG, RPM
 
 MS_IN_US: Final = 1000
+READ_CYCLE_US: Final = CODECS[EdgesInputRise.__name__].spec.cycle_time_us
+"""From one read of the sensors to the next: no shorter tick sees more of them."""
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
 """The strategies of the DBC's value table; `strategies.table` has the class of each."""
