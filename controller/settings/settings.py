@@ -66,6 +66,11 @@ class Timing:
         return self.tick_ms * MS_IN_US
 
     @property
+    def measured_us(self) -> int:
+        """Time between two steps of which each knows more than the one before."""
+        return max(self.tick_us, READ_CYCLE_US)
+
+    @property
     def lead_us(self) -> int:
         """The least lead of an activation."""
         return self.lead_ms * MS_IN_US

@@ -72,6 +72,8 @@ class ShiftContext:
         """The brake's pressure (Pa, gauge) in each of the newest steps, with the step's time."""
         self.freed_us = 0
         """When a sleeve between neutral and a gear was last sent to neutral, between shifts."""
+        self._sampled_us = self._measured_us = 0
+        """The oldest of the sleeves' newest samples, and the step that has brought it."""
         self.clutch = ClutchAction.OPEN
         self.engine_rad_s: float | None = None
         """The speed the engine is asked for; None: nothing is asked."""
@@ -111,6 +113,15 @@ class ShiftContext:
     def tick_us(self) -> int:
         """From one step to the next."""
         return self.settings.timing.tick_us
+
+    def is_measured(self, snapshot: StepSnapshot) -> bool:
+        """Whether this step has a new read of the sensors: of a short tick not each one has."""
+        return self._measured_us == snapshot.now_us
+
+    def more_known_in_us(self, snapshot: StepSnapshot) -> int:
+        """After how long the next step comes that has a new read of the sensors."""
+        since_us = snapshot.now_us - self._measured_us
+        return max(self.tick_us, self.settings.timing.measured_us - since_us)
 
     @property
     def target(self) -> DriveGear | None:
@@ -166,6 +177,9 @@ class ShiftContext:
 
     def sense_sleeves(self, snapshot: StepSnapshot) -> None:
         """What this step's samples say of the main sleeves."""
+        sampled_us = snapshot.view.oldest_us
+        if sampled_us != self._sampled_us:
+            self._sampled_us, self._measured_us = sampled_us, snapshot.now_us
         if math.isfinite(snapshot.supply_pa):
             self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         self.sleeves.take(snapshot.view, snapshot.now_us)
