@@ -33,7 +33,8 @@ FALL_US: Final = 20 * MS_IN_US
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
-BRAKE_GAUGES: Final = 8
+BRAKE_GAUGES_US: Final = 75 * MS_IN_US
+"""Of so long the brake's pressures are kept."""
 SHUTS_US: Final = 25 * MS_IN_US
 """A sample is there this long after a valve's current of when the slowest valve has shut."""
 SENSED_SHARE: Final = 0.005
@@ -68,8 +69,8 @@ class ShiftContext:
         self.sleeves = Sleeves(sheet)
         self.state = State.STARTING
         self.since_us = 0
-        self.brake_gauges: deque[tuple[int, float]] = deque(maxlen=BRAKE_GAUGES)
-        """The brake's pressure (Pa, gauge) in each of the newest steps, with the step's time."""
+        self.brake_gauges: deque[tuple[int, float]] = deque()
+        """The brake's pressure (Pa, gauge) in each step of late, with the step's time."""
         self.freed_us = 0
         """When a sleeve between neutral and a gear was last sent to neutral, between shifts."""
         self._sampled_us = self._measured_us = 0
@@ -188,6 +189,9 @@ class ShiftContext:
             if self.shift is not None:
                 self.shift.grinds = True
         self.brake_gauges.append((snapshot.now_us, snapshot.view.brake_gauge_pa))
+        # One that lies ahead is of a sensor clock that was set back since.
+        while not 0 <= snapshot.now_us - self.brake_gauges[0][0] <= BRAKE_GAUGES_US:
+            self.brake_gauges.popleft()
 
     def _turns_against(self, gear: MainGear, snapshot: StepSnapshot) -> bool:
         """Whether a gear turns against its sleeve faster than the guard lets any be fired, by the

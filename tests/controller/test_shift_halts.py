@@ -78,13 +78,13 @@ def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_fired_again_from_where_
 
 
 @pytest.mark.parametrize("tick_ms", [5, 10, 20])
-@pytest.mark.parametrize("kick", [0.35, 0.4, 0.5, -0.4])
+@pytest.mark.parametrize("input_rad_s", [190.0, 191.0])
 def test_of_any_tick_a_sleeve_is_stopped_after_the_last_read_by_which_it_can_be(
-    kick: float, tick_ms: int
+    input_rad_s: float, tick_ms: int
 ) -> None:
     """No step sooner, and without another read no step later: red before, where of a tick of 5 ms
     the one after that read was waited for, which knows no more."""
-    box = kicked(kick, FAST_UP, tick_ms)
+    box = kicked(0.5, (7, input_rad_s, 9), tick_ms)
     fired_us = box.board.command(VALVE).time_us
     last_us = box.sequence.sleeves.last_abort_us(MainGear.SECOND, fired_us)
     assert last_us is not None
