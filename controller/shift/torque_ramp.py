@@ -65,7 +65,7 @@ def _unload(
     context: ShiftContext, snapshot: StepSnapshot, twist: Twist, parting_s: float
 ) -> bool | None:
     """Asks for what the plan says; returns whether the clutch may set off, None without a plan."""
-    shift, step_s = context.running, context.tick_us * US
+    shift, step_s = context.running, context.settings.timing.measured_us * US
     if shift.own_nm is None:
         shift.own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
     if shift.clutch_us is not None:
