@@ -11,7 +11,7 @@ from meshpoint.units import SECOND_US
 
 MEASUREMENTS: Final = 6
 """The engine's acceleration is that of its last 50 ms."""
-LONGEST_GAP_US: Final = 20_000
+LONGEST_GAP_US: Final = 25_000
 """Over a longer pause in what the engine says nobody knows what it did."""
 
 
