@@ -2,10 +2,10 @@
 
 The sensor side reads once a cycle and sends its frames one after the other. A step just before the
 last of them decides by what is a cycle old, one just after it by what is as old as the bus is slow.
-A tick is as long as that cycle, or goes into it, or it into the tick, so steps stay where in it they
-began, wherever that was, until they are moved. They are moved to where a read's frames are awaited
-no longer than needed: longer at once when a step came between the frames of a read, and shorter by
-little with each that did not. Of several steps in a cycle, one is moved so, and the others with it.
+A tick is as long as that cycle or goes into it, so steps stay where in it they began, wherever that
+was, until they are moved. They are moved to where a read's frames are awaited no longer than needed:
+longer at once when a step came between the frames of a read, and shorter by little with each that
+did not. Of several steps in a cycle, one is moved so, and the others with it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class StepTiming:
 
     def __init__(self, tick_us: int) -> None:
         self._tick_us = tick_us
-        self._fits = 0 in (READ_CYCLE_US % tick_us, tick_us % READ_CYCLE_US)
+        self._fits = READ_CYCLE_US % tick_us == 0
         """Whether each cycle has steps at the same times."""
         self._waits_us = 0
         """How long after a read its frames are awaited."""
@@ -103,14 +103,11 @@ class StepTiming:
         ticks, self._ticks = self._ticks, 0
         if before_us is None or not self._fits:
             return
-        longer_us = max(self._tick_us, READ_CYCLE_US)
-        is_usual = frames * READ_CYCLE_US == longer_us
         # A first frame that comes as a step does is taken by this one or by the next.
         apart_us = abs(frames * READ_CYCLE_US - ticks * self._tick_us)
         off_us = abs(read_us - before_us - frames * READ_CYCLE_US)
-        self._is_kept = (
-            (self._is_kept or is_usual) and apart_us < longer_us and off_us <= CYCLE_OFF_US
-        )
+        follows = apart_us < READ_CYCLE_US and off_us <= CYCLE_OFF_US
+        self._is_kept = follows and (self._is_kept or frames == 1)
 
     def _off_us(self, age_us: int) -> int:
         """How much later than awaited a step is at which the newest read is so old."""

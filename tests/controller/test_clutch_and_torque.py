@@ -87,7 +87,7 @@ def test_the_engines_acceleration_is_not_taken_over_a_pause() -> None:
 
 @pytest.mark.parametrize("tick_us", [5_000, 10_000, 20_000])
 def test_the_engines_acceleration_is_known_at_any_tick(tick_us: int) -> None:
-    """The engine says its speed each 10 ms, and a step comes up to half a millisecond late. Red
+    """The engine says its speed each 10 ms, and every other step comes half a millisecond late. Red
     before: at 20 ms that was a pause."""
     fall, heard_us = TorqueFall(), -1
     for step in range(40):
