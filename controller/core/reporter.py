@@ -41,7 +41,7 @@ class Reporter:
         self._sequence = sequence
         self._steps = 0
         self._etc2_every = max(1, ETC2_CYCLE_US // header.settings.timing.tick_us)
-        """Of so many steps one says it."""
+        """Steps from one that says it to the next."""
         self._gear = -1
         self._previous = (0, 0, 0)
 

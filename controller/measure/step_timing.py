@@ -3,9 +3,9 @@
 The sensor side reads once a cycle and sends its frames one after the other. A step just before the
 last of them decides by what is a cycle old, one just after it by what is as old as the bus is slow.
 A tick is as long as that cycle or goes into it, so steps stay where in it they began, wherever that
-was, until they are moved. They are moved to where a read's frames are awaited no longer than needed:
-longer at once when a step came between the frames of a read, and shorter by little with each that
-did not. Of several steps in a cycle, one is moved so, and the others with it.
+was, until they are moved. They are moved to where a read's frames are awaited no longer than
+needed: longer at once when a step came between the frames of a read, and shorter by little with
+each that did not. Of several steps in a cycle, one is moved so, and the others with it.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ class ShiftLimits:
     """How often the brake is used in one shift, and again after each time that the engine has
     raised the gear."""
     blocks: int = count("blocks", 1, 100, default=8)
-    """A shift ends when the guard has blocked its commands this often."""
+    """A shift ends when the guard has blocked its commands this often, counted once a read."""
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.5e5)
     """Below this supply pressure (absolute) no shift is begun."""
     valve_on_ms: int = count("valve_on_ms", 100, 10000, default=3000)

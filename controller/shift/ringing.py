@@ -31,7 +31,7 @@ class DrivelineRings:
         self._measurements: list[tuple[int, float]] = []
 
     def measure(self, state: State, snapshot: StepSnapshot) -> None:
-        """One step: without a new speed it tells nothing."""
+        """One step: one without a new speed shows nothing."""
         main = snapshot.speeds.main
         is_free = state in FREE_STATES and snapshot.view.main_gear is MainGear.NEUTRAL
         if is_free and main is not None:
