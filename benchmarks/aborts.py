@@ -26,7 +26,7 @@ from unittest import mock
 import numpy as np
 
 from meshpoint import Bench, ShiftRow
-from meshpoint.controller.plan.strategies.target_phase import TargetPhase
+from meshpoint.controller.plan.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.dbc.messages import BenchFault, ControllerState, RigFault

@@ -25,9 +25,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.signal import cont2discrete
 
 from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.linear_kernels import THESIS_FILTER, thesis_filter
-from meshpoint.controller.models.models import diagonal, first_order_law, free_motion
+from meshpoint.controller.models.layshaft import diagonal, first_order_law, free_motion
+from meshpoint.controller.models.thesis import THESIS_FILTER, layshaft_model, thesis_filter
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 from meshpoint.kernels.records import RecordMemory

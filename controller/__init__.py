@@ -17,7 +17,7 @@ before it:
     core         the step, and what is sent and logged about it
     run          on a bus: alone there, what is kept from run to run
 
-Others use `settings`, `core.core`, `run` and `plan.strategies`; who else looks into a room is named
-in an import contract (pyproject.toml). Sensor faults and valve drivers are not here: see
+Others use `settings`, `core.core`, `run` and the strategies of `plan`; who else looks into a room
+is named in an import contract (pyproject.toml). Sensor faults and valve drivers are not here: see
 `meshpoint.rig_sim`.
 """

@@ -27,25 +27,27 @@ from benchmarks.studies.bound_scene import (
     draw_run,
     draw_wheel,
 )
-from meshpoint.controller.estimate.baseline_tracker import BaselineTracker
-from meshpoint.controller.estimate.brake_model import BrakeModel
+from meshpoint.controller.estimate.baselines import BaselineTracker
+from meshpoint.controller.estimate.brake_model import BrakeModel, uncorrelated
 from meshpoint.controller.estimate.crossing_filter import NO_PRESSURES
-from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
-from meshpoint.controller.estimate.figure import Estimate
-from meshpoint.controller.estimate.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.estimate.figures import Estimate
+from meshpoint.controller.estimate.layshaft_tracker import (
+    CrossingTracker,
+    LayshaftModels,
+    LayshaftTracker,
+)
 from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.estimate.touch_and_lag import uncorrelated
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model, predict_linear
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
     LayshaftState,
     diagonal,
     following_motion,
     free_motion,
     predict,
 )
+from meshpoint.controller.models.thesis import layshaft_model, predict_linear
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import GearboxSheet, Split

@@ -64,7 +64,7 @@ class SceneWheel(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """Of the free layshaft: a, b, g of `meshpoint.controller.models.linear_kernels`."""
+    """Of the free layshaft: a, b, g of `meshpoint.controller.models.thesis`."""
 
     a: float
     b: float

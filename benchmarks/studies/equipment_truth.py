@@ -14,8 +14,7 @@ import numpy as np
 
 from meshpoint.controller.estimate.main_tracker import MainTracker
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.models.lash_motion import WHEELS
-from meshpoint.controller.models.lash_trajectory import LashTrajectory
+from meshpoint.controller.models.backlash import WHEELS, LashTrajectory
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.dbc.messages import ControllerState

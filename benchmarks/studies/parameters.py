@@ -19,8 +19,7 @@ from benchmarks.studies.record import (
     ThesisVerdict,
 )
 from benchmarks.studies.sensitivity import Release
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.linear_kernels import LINEAR
+from meshpoint.controller.models.thesis import LINEAR, layshaft_model
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.studies.record import Braking
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.kernels.records import Vector

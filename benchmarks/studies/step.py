@@ -22,9 +22,9 @@ from benchmarks.studies.record import (
     ThesisVerdict,
 )
 from benchmarks.studies.sensitivity import Release
-from meshpoint.controller.models import linear_kernels as kernels
-from meshpoint.controller.models.linear import layshaft_model, predict_euler
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.models import thesis as kernels
+from meshpoint.controller.models.layshaft import LayshaftState
+from meshpoint.controller.models.thesis import layshaft_model, predict_euler
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector
@@ -215,7 +215,7 @@ def _storage_statement(own: Settings, costs: dict[str, Cost], storage: dict[str,
         ThesisVerdict.DIFFERS if sum(closed) <= sum(euler) else ThesisVerdict.AGREES,
         "difficult is taken as more operations than Euler's method at the wanted accuracy. The "
         "model's matrix is triangular, so its exponential has a closed form "
-        "(controller/models/linear_kernels.py): nothing is difficult to work out live, and "
+        "(controller/models/thesis.py): nothing is difficult to work out live, and "
         "nothing is stored. "
         "The thesis computes it with c2d. At a fixed tick storing would be cheap as well; at the "
         "microsecond of our activation times it would indeed be excessive",

@@ -16,8 +16,7 @@ from benchmarks.studies.record import (
     Study,
     ThesisVerdict,
 )
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.linear_kernels import propagate
+from meshpoint.controller.models.thesis import layshaft_model, propagate
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 

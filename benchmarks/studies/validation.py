@@ -14,8 +14,7 @@ import numpy as np
 
 from benchmarks.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from benchmarks.studies.record import Given
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.linear_kernels import propagate
+from meshpoint.controller.models.thesis import layshaft_model, propagate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity

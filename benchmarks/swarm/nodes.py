@@ -7,9 +7,11 @@ from typing import Any, Final
 
 from benchmarks.swarm.deeds import Deed, Wish
 from meshpoint.bus.core import Step
+from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.core import POSITIONS, ControllerCore
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.frame import Frame
@@ -33,8 +35,41 @@ def drives(payload: bytes) -> bool:
     return bool(int.from_bytes(payload[ACTIONS], "little") & DRIVING_BITS)
 
 
+class WatchedCommands(GuardedCommands):
+    """Its commands; notes what the guard sees, and which row has blocked clutch or engine."""
+
+    def __init__(
+        self,
+        header: RunHeader,
+        transmitter: Transmitter,
+        sequence: ShiftSequence,
+        rows: list[int],
+    ) -> None:
+        super().__init__(header, transmitter, sequence)
+        self._rows = rows
+        self.seen: Any = None
+
+    def _clutch_command(self, seen: Any, events: list[str]) -> Frame:
+        self.seen = seen
+        frame = super()._clutch_command(seen, events)
+        self._note_driveline()
+        return frame
+
+    def _engine_request(self, seen: Any, events: list[str]) -> list[Frame]:
+        frames = super()._engine_request(seen, events)
+        if frames and self._sequence.engine_rad_s is not None:
+            self._note_driveline()
+        return frames
+
+    def _note_driveline(self) -> None:
+        if self.driveline.blocked_row is not None:
+            self._rows.append(self.driveline.blocked_row)
+
+
 class WatchedController(ControllerCore):
     """The controller; its sequence can be made to go mad."""
+
+    _guarded: WatchedCommands
 
     def __init__(self, header: RunHeader, seed: int) -> None:
         super().__init__(header)
@@ -48,8 +83,7 @@ class WatchedController(ControllerCore):
         """Whether the last valve command that went out drives a valve."""
         self.sees_all = True
         """Whether all inputs that a valve needs were valid in the last step."""
-        self.seen: Any = None
-        """The guard's inputs of the last step."""
+        self._guarded = WatchedCommands(header, self._transmitter, self._sequence, self.rows)
         self._sequence.on_transition = lambda state, trigger: self.transitions.append(
             (state, trigger)
         )
@@ -61,6 +95,11 @@ class WatchedController(ControllerCore):
         self._deed, self._began_us = deed, None
 
     @property
+    def seen(self) -> Any:
+        """The guard's inputs of the last step."""
+        return self._guarded.seen
+
+    @property
     def is_mad(self) -> bool:
         """Whether its deed has begun."""
         return self._began_us is not None
@@ -68,7 +107,7 @@ class WatchedController(ControllerCore):
     @property
     def is_proven(self) -> bool:
         """Whether the guard's self-test is passed: before, no valve can be driven."""
-        return self._guard.is_proven
+        return self._guarded.guard.is_proven
 
     @property
     def state(self) -> ControllerState:
@@ -115,25 +154,9 @@ class WatchedController(ControllerCore):
         frames = super()._commands(now_us, snapshot, events)
         self.drives = drives(frames[0].data)
         self.sees_all = self._receiver.all_valid((*POSITIONS, ValveStatus))
-        if self._guard.blocked_row is not None:
-            self.rows.append(self._guard.blocked_row)
+        if self._guarded.guard.blocked_row is not None:
+            self.rows.append(self._guarded.guard.blocked_row)
         return frames
-
-    def _clutch_command(self, seen: Any, events: list[str]) -> Frame:
-        self.seen = seen
-        frame = super()._clutch_command(seen, events)
-        self._note_driveline()
-        return frame
-
-    def _engine_request(self, seen: Any, events: list[str]) -> list[Frame]:
-        frames = super()._engine_request(seen, events)
-        if frames and self._sequence.engine_rad_s is not None:
-            self._note_driveline()
-        return frames
-
-    def _note_driveline(self) -> None:
-        if self._driveline_guard.blocked_row is not None:
-            self.rows.append(self._driveline_guard.blocked_row)
 
 
 class WatchedRig(RigCore):

@@ -18,46 +18,33 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Learned, collect, restore
-from meshpoint.controller.core.follower import Follower
-from meshpoint.controller.core.log_lines import decision_line, outcome_line
-from meshpoint.controller.core.reporter import Reporter
+from meshpoint.controller.core.carry_over import Follower, Learned, collect, restore
+from meshpoint.controller.core.commands import GuardedCommands
+from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.guard.driveline import DrivelineGuard
-from meshpoint.controller.guard.limits import guard_limits
-from meshpoint.controller.guard.rules import Guard
-from meshpoint.controller.guard.view import GuardInputs, GuardView
-from meshpoint.controller.measure.clock_probe import ClockProbe
-from meshpoint.controller.measure.refused_lead import RefusedLead
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.measure.step_timing import StepTiming
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.measure.clock import ClockProbe, RefusedLead, StepTiming
+from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.models.layshaft import BrakeInput
+from meshpoint.controller.settings.header import RunHeader, XcpAccess
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.controller.settings.valve_name import driven_or_pending
-from meshpoint.controller.settings.xcp_access import XcpAccess
-from meshpoint.controller.shift.context import PredictorSource
+from meshpoint.controller.shift.context import PredictorSource, ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveBoard
-from meshpoint.controller.xcp.measured import SLEEVES, StepFacts
+from meshpoint.controller.xcp.memory import SLEEVES, StepFacts
 from meshpoint.controller.xcp.node import XcpNode
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (
     XCP_COMMAND_ID,
     canonical,
-    checked_request,
-    torque_parts,
     torque_share,
 )
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
-    TSC1,
     ClutchCommand,
     EdgesLayshaftRise,
     EdgesMainRise,
@@ -67,7 +54,6 @@ from meshpoint.dbc.messages import (
     ShiftDecision,
     SleevesAux,
     SleevesMain,
-    TscOverrideMode,
     ValveCommand,
     ValveStatus,
 )
@@ -91,7 +77,6 @@ UNARMED: Final = (
 SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
 POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
 """Channels without which nothing may be shifted; and the valve side's own status."""
-SHAFTS: Final = ("input shaft", "layshaft", "main shaft", "propeller shaft")
 
 
 class Consumed(NamedTuple):
@@ -125,14 +110,7 @@ class ControllerCore:
             sheet, settings, self._board, brake, self._observer.references, header.armed
         )
         self._speeds = ShaftSpeeds(sheet)
-        limits = guard_limits(sheet, settings)
-        self._guard = Guard(limits, header.armed)
-        self._driveline_guard = DrivelineGuard(limits)
-        self._guard_view = GuardView(sheet, limits)
-        self._in_doubt: tuple[int, ...] = ()
-        """Shafts whose speed wheels the guard has found contradicted."""
-        self._engine_asked = False
-        self._engine_requests = 0
+        self._guarded = GuardedCommands(header, self._transmitter, self._sequence)
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._xcp: XcpNode | None = None
@@ -233,7 +211,9 @@ class ControllerCore:
     def step(self, now_us: int) -> Step:
         """The whole decision at `now_us` of the controller's clock."""
         lateness_us = self._lateness_us(now_us)
-        events: list[str] = [UNARMED] if self._due_us is None and not self._guard.is_armed else []
+        events: list[str] = (
+            [UNARMED] if self._due_us is None and not self._guarded.guard.is_armed else []
+        )
         inputs, consumed = self._consume(now_us, events)
         read_us = self._probe.stamp(inputs, now_us)
         if self._refused.take(inputs.valve_status, now_us):
@@ -250,7 +230,7 @@ class ControllerCore:
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)
         frames += self._reporter.frames(self._transmitter, snapshot)
-        blocks = self._guard.blocks + self._driveline_guard.blocks
+        blocks = self._guarded.blocks
         status = self._reporter.status(
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, blocks
         )
@@ -266,7 +246,7 @@ class ControllerCore:
         """The last frames: all valves off. What is left to be learned is learned at once."""
         self._board.all_off()
         frames = [self._transmitter.encode(ValveCommand())]
-        if self._guard.is_armed:
+        if self._guarded.guard.is_armed:
             frames.append(self._transmitter.encode(ClutchCommand()))
         self._observer.finish_learning()
         return Step(frames, [f"valves off at {now_us} us"])
@@ -324,7 +304,7 @@ class ControllerCore:
             observer.view.supply_pa,
             None if engine is None else engine.engine_speed_rad_s,
             *torque,
-            is_self_tested=self._guard.is_proven,
+            is_self_tested=self._guarded.guard.is_proven,
             more_lead_us=self._refused.more_us,
             loaded=observer.loaded,
         )
@@ -345,9 +325,8 @@ class ControllerCore:
             or sensor_us - view.oldest_us > FRESH_US
         ):
             return FaultCode.POSITION_STALE
-        if self._in_doubt:
-            is_one = len(self._in_doubt) == 1
-            return WHEEL_FAULTS[self._in_doubt[0]] if is_one else FaultCode.WHEELS_DISAGREE
+        if in_doubt := self._guarded.in_doubt:
+            return WHEEL_FAULTS[in_doubt[0]] if len(in_doubt) == 1 else FaultCode.WHEELS_DISAGREE
         if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted():
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
@@ -392,71 +371,8 @@ class ControllerCore:
         self._decided = decided
 
     def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
-        """Valve, clutch and engine commands; the valve frame goes out only past the guard. A
-        controller that is not armed sends all valves off, and nothing to clutch and engine."""
-        guard, sequence = self._guard, self._sequence
-        frame = self._transmitter.encode(self._board.message(snapshot.now_us + self._ahead_us))
-        seen = self._guard_view.take(self._heard, now_us, snapshot.now_us)
-        self._note_wheels(seen.in_doubt, events)
-        if not guard.passes(frame.data, seen):
-            events.append(f"guard blocked a valve command: row {guard.blocked_row}")
-            sequence.blocked(guard.blocked_row or 0, snapshot)
-            frame = self._transmitter.instead(ValveCommand())
-        sequence.tell_sleeves(snapshot.now_us)
-        if not guard.is_armed:
-            return [frame]
-        return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]
-
-    def _note_wheels(self, in_doubt: tuple[int, ...], events: list[str]) -> None:
-        """What the guard's counts say of the speed wheels; the next step acts on it."""
-        if in_doubt != self._in_doubt:
-            names = " or ".join(SHAFTS[shaft] for shaft in in_doubt)
-            events.append(
-                f"speed wheel reads wrong: {names}" if names else "speed wheels agree again"
-            )
-        self._in_doubt = in_doubt
-
-    def _clutch_command(self, seen: GuardInputs, events: list[str]) -> Frame:
-        """What the sequence wants of the clutch; open where the guard forbids to close."""
-        frame = self._transmitter.encode(ClutchCommand(action=self._sequence.clutch))
-        driveline, before = self._driveline_guard, self._sequence.closing_blocked
-        passes = driveline.passes_clutch(frame.data, seen)
-        self._sequence.closing_blocked = not passes
-        if passes:
-            return frame
-        if not before:  # it may go on for seconds
-            events.append(f"guard keeps the clutch open: row {driveline.blocked_row}")
-        return self._transmitter.instead(ClutchCommand())
-
-    def _engine_request(self, seen: GuardInputs, events: list[str]) -> list[Frame]:
-        """TSC1 while the engine is asked for a speed or a torque, and once more to end it; its end
-        where the guard forbids it."""
-        wanted, share = self._sequence.engine_rad_s, self._sequence.engine_share
-        asked, self._engine_asked = self._engine_asked, (wanted, share) != (None, None)
-        if not self._engine_asked:
-            return [self._checked(TSC1())] if asked else []
-        speed, torque = TscOverrideMode.SPEED_CONTROL, TscOverrideMode.TORQUE_CONTROL
-        whole = fine = None
-        if wanted is None and share is not None:
-            whole, fine = torque_parts(share)
-        request = TSC1(
-            override_control_mode=torque if wanted is None else speed,
-            requested_speed_rad_s=wanted,
-            requested_torque_fraction=whole,
-            requested_torque_fine_fraction=fine,
-        )
-        frame, driveline = self._checked(request), self._driveline_guard
-        if not driveline.passes_engine(frame.data, seen):
-            events.append(f"guard blocked an engine request: row {driveline.blocked_row}")
-            self._engine_requests -= 1  # the blocked one was not sent
-            frame = self._checked(TSC1())
-        return [frame]
-
-    def _checked(self, request: TSC1) -> Frame:
-        """The next TSC1 frame, with its counter and checksum."""
-        frame = checked_request(self._transmitter.encode(request), self._engine_requests)
-        self._engine_requests += 1
-        return frame
+        valves = self._board.message(snapshot.now_us + self._ahead_us)
+        return self._guarded.frames(valves, self._heard, now_us, snapshot, events)
 
     def _answer(
         self, xcp: XcpNode, frames: list[Frame], snapshot: StepSnapshot, events: list[str]
@@ -466,7 +382,7 @@ class ControllerCore:
         sequence, tracks = self._sequence, snapshot.view.tracks
         facts = StepFacts(
             tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
-            self._guard.blocked_row or 0,
+            self._guarded.guard.blocked_row or 0,
             lambda: self._learned,
         )
         ended = sequence.finished is not None

@@ -8,27 +8,52 @@ that it can describe a first-order valve (thesis 4.1) as well as one with choked
 Each knot's rate is that of the data sheet times e^s; the s and both valve delays are fitted to the
 pressure measured over a shift, by Gauss-Newton with what is known already as the prior: an extended
 Kalman filter whose steps are shifts.
+
+Touch pressure and the lag of the pressure sensor are learned together. A brake whose torque ends
+sooner than its measured pressure says has pads that touch late, or a sensor that is late: one shift
+hardly says which. Learned one after the other, the first to be fitted takes the whole difference
+and is believed. So both are carried with their covariance, from shift to shift as well.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from typing import Final
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.brake_kernels import pressure_trajectory
 from meshpoint.controller.estimate.crossing_filter import Pressures
-from meshpoint.controller.estimate.figure import Estimate
-from meshpoint.controller.estimate.touch_and_lag import TouchAndLag, uncorrelated
-from meshpoint.controller.measure.pressure_samples import PressureSamples
-from meshpoint.controller.models.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
-from meshpoint.controller.models.models import MotionModel
+from meshpoint.controller.estimate.figures import Estimate
+from meshpoint.controller.measure.gearbox_view import PressureSamples
+from meshpoint.controller.models.layshaft import MotionModel
+from meshpoint.controller.models.layshaft_kernels import (
+    DRAG,
+    GAIN,
+    PRESSURE,
+    SEGMENTS,
+    STATE,
+    STATES,
+    travel,
+)
 from meshpoint.controller.settings.learned import BrakeRecord
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.kernels.jit import compiled, record_on
 from meshpoint.kernels.records import Vector
 from meshpoint.units import US
+
+MOST_TOUCH_PA: Final = 1.0e5
+MOST_LAG_S: Final = 20e-3
+TOUCH_PROBE: Final = np.array([0.1e5, 1.5e-3])
+"""Distance of the probes about a guess, touch (Pa) and lag (s)."""
+MOST_STEP: Final = np.array([0.25e5, 3e-3])
+"""Beyond that a paraboloid through probes is not believed."""
+DRIFT_SD: Final = np.array([0.01e5, 0.1e-3])
+"""Standard deviation of the change from shift to shift."""
+CAUTION: Final = 2.0
+"""Factor on the estimate's standard deviations, for other errors of the model."""
+MOST_ROUNDS: Final = 3
 
 EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)
 FILLING: Final = (0.0, 0.3, 0.6, 0.85, 1.0)
@@ -55,11 +80,89 @@ LEAST_SD_S: Final = 1e-6
 STILL: Final = np.array([0.0, 0.0, 1.0])
 QUIET: Final = np.zeros(4)
 """Rates and noise densities of a shaft at rest: only the pressure is of interest."""
-
 LAG_TOLERANCE: Final = 1.5
 """Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
 stated."""
 TOUCH_SD_PA: Final = 0.15e5
+
+
+@compiled
+def pressure_trajectory(
+    x: Vector, sample_us: Vector, switches: Vector, model: Vector, pressure_pa: Vector
+) -> None:
+    """Pressure at ascending times, the first of which is that of the state x (moved).
+
+    switches and model as for `travel`, the model of a shaft that nothing moves."""
+    state = record_on(x, STATE)
+    pressure_pa[0] = state.pressure_pa
+    for k in range(1, sample_us.shape[0]):
+        travel(x, sample_us[k - 1], sample_us[k], switches, model)
+        pressure_pa[k] = state.pressure_pa
+
+
+class TouchAndLag(NamedTuple):
+    """What is known: mean (2,) of touch (Pa, gauge) and lag (s), covariance (2, 2)."""
+
+    mean: Vector
+    covariance: Vector
+
+    @property
+    def sd(self) -> Vector:
+        """Standard deviations (2,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+def uncorrelated(touch: tuple[float, float], lag: tuple[float, float]) -> TouchAndLag:
+    """Of values and standard deviations alone."""
+    means, sds = zip(touch, lag, strict=True)
+    return TouchAndLag(np.array(means), np.diag(sds) ** 2)
+
+
+def best_of(deviance: Callable[[float, float], float], known: TouchAndLag) -> TouchAndLag:
+    """What is known after a shift in which `deviance(touch_pa, lag_s)` is the sum of normalised
+    innovation squares, so minus twice a log-likelihood: the minimum of the paraboloid through six
+    probes and of what was known, by Gauss and Newton. While the minimum lies further away than the
+    probes are to be believed, values move towards it and their covariance stays."""
+    prior = known.covariance + np.diag(np.where(np.diag(known.covariance) > 0.0, DRIFT_SD**2, 0.0))
+    at, left = known.mean, prior
+    for _ in range(MOST_ROUNDS):
+        centre = np.maximum(at, [TOUCH_PROBE[0], 0.0])
+        gradient, curvature = _paraboloid(deviance, centre)
+        if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+            break
+        slope, upright = gradient / (2.0 * CAUTION**2), _upright(curvature) / (2.0 * CAUTION**2)
+        # (P^-1 + A) d = P^-1 (m - c) - b, times P: a figure that is known for certain has no P^-1.
+        weight = np.eye(2) + prior @ upright
+        step = np.linalg.solve(weight, known.mean - centre - prior @ slope)
+        share = min(1.0, float(np.min(MOST_STEP / np.maximum(np.abs(step), 1e-12))))
+        at = np.clip(centre + share * step, 0.0, [MOST_TOUCH_PA, MOST_LAG_S])
+        if share == 1.0:
+            left = np.linalg.solve(weight, prior)
+            break
+    return TouchAndLag(at, (left + left.T) / 2.0)
+
+
+def _paraboloid(deviance: Callable[[float, float], float], at: Vector) -> tuple[Vector, Vector]:
+    """Gradient (2,) and second derivatives (2, 2) by differences."""
+    touch_pa, lag_s = at.tolist()
+    probe_pa, probe_s = TOUCH_PROBE.tolist()
+    middle = deviance(touch_pa, lag_s)
+    more_pa, less_pa = deviance(touch_pa + probe_pa, lag_s), deviance(touch_pa - probe_pa, lag_s)
+    more_s, less_s = deviance(touch_pa, lag_s + probe_s), deviance(touch_pa, lag_s - probe_s)
+    both = deviance(touch_pa + probe_pa, lag_s + probe_s)
+    gradient = np.array([more_pa - less_pa, more_s - less_s]) / (2.0 * TOUCH_PROBE)
+    mixed = (both - more_pa - more_s + middle) / (probe_pa * probe_s)
+    bend_pa = (more_pa - 2.0 * middle + less_pa) / probe_pa**2
+    bend_s = (more_s - 2.0 * middle + less_s) / probe_s**2
+    return gradient, np.array([[bend_pa, mixed], [mixed, bend_s]])
+
+
+def _upright(curvature: Vector) -> Vector:
+    """The nearest curvature that is none downwards: a saddle says nothing along its fall."""
+    scaled = curvature * np.outer(TOUCH_PROBE, TOUCH_PROBE)
+    values, vectors = np.linalg.eigh(scaled)
+    upright: Vector = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return upright / np.outer(TOUCH_PROBE, TOUCH_PROBE)
 
 
 def above_touch(samples: PressureSamples, touch_pa: float, lag_s: float) -> Pressures:
@@ -184,7 +287,7 @@ class BrakeModel:
         return round((float(self._mean[ON_DELAY]) + self.touch_pa.value / at_zero) / US)
 
     def law(self, touch_pa: float | None = None) -> Vector:
-        """The law of the pressure above the touch, for `motion_kernels`."""
+        """The law of the pressure above the touch, for `layshaft_kernels`."""
         touch = self.touch_pa.value if touch_pa is None else touch_pa
         whole = self._law(self._mean)
         law = np.full((2, SEGMENTS, 3), np.inf)

@@ -1,8 +1,8 @@
 """How a driveline swings while the gearbox is in neutral, learned from the ringing of every shift.
 
-The main shaft swings against the wheels (`models/swing_kernels`). Frequency, damping, and how far
+The main shaft swings against the wheels (`models/swing`). Frequency, damping, and how far
 it swings when a gear comes out, differ between the steps of the range. The figures are learned by
-the likelihood of a shift's edges (`likelihood`). A driveline that rattles in its backlash moves
+the likelihood of a shift's edges (`figures`). A driveline that rattles in its backlash moves
 otherwise (`lash_cloud`).
 """
 
@@ -14,13 +14,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
+from meshpoint.controller.estimate.figures import Figure, Search, prior
 from meshpoint.controller.estimate.lash import LashFigures
-from meshpoint.controller.estimate.likelihood import Search
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
-from meshpoint.controller.models.swing import SwingMotion, SwingRates
-from meshpoint.controller.models.swing_kernels import RATE, STEADY, SWING
+from meshpoint.controller.models.swing import RATE, STEADY, SWING, SwingMotion, SwingRates
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, Vector

@@ -11,16 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.brake_model import BrakeModel, above_touch
+from meshpoint.controller.estimate.brake_model import BrakeModel, above_touch, best_of
 from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimate.figure import Figure
-from meshpoint.controller.estimate.likelihood import Search, learn
+from meshpoint.controller.estimate.figures import Figure, Search, learn
 from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.estimate.touch_and_lag import best_of
-from meshpoint.controller.measure.pressure_samples import PressureSamples, together
+from meshpoint.controller.measure.gearbox_view import PressureSamples, together
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.kernels import DISTURBANCE, DRAG, GAIN
-from meshpoint.controller.models.models import Disturbance, MotionModel
+from meshpoint.controller.models.layshaft import Disturbance, MotionModel
+from meshpoint.controller.models.layshaft_kernels import DISTURBANCE, DRAG, GAIN
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import SECOND_US

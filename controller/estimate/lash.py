@@ -1,21 +1,26 @@
-"""A driveline behind the gearbox: its figures by data sheet and as learned, and its first cloud.
+"""A driveline behind the gearbox: its figures by data sheet and as learned, and how it begins.
 
 What the data sheet leaves open of a driveline is learned from window to window in neutral: each
-begins with a cloud of particles (`lash_cloud`) that are spread as far as that is not known yet.
+begins where and as fast as main shaft and vehicle are when a gear has come out, with a cloud of
+particles (`lash_cloud`) that are spread as far as that is not known yet.
+
+They are spread by numbers that fill a space evenly without any randomness: Halton's sequences
+(1960). `scipy.stats.qmc.Halton` gives the same bits; to load it would cost a node 0.8 s and 68 MB.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
+from statistics import NormalDist
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.figure import Figure
-from meshpoint.controller.estimate.halton import even, normal
+from meshpoint.controller.estimate.figures import Figure
 from meshpoint.controller.estimate.loaded_driveline import BehindState, Shafts
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,
@@ -29,12 +34,15 @@ from meshpoint.controller.models.lash_motion import (
     VEHICLE,
     WAY,
     WHEELS,
+    Chance,
     LashModel,
 )
-from meshpoint.controller.models.lash_trajectory import Chance
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import Vector
 from meshpoint.units import US
+
+PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
+"""A sequence each."""
 
 DRIVELINES: Final = 2500
 """Number of drivelines in a cloud."""
@@ -60,6 +68,47 @@ WITHIN: Final = 2.0
 """They stay within this many standard deviations of the sheet's values."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
+
+KEPT_US: Final = 400_000.0
+"""What a window in neutral has shown of the vehicle holds so long."""
+HILL_SHARE: Final = 0.1
+"""Standard deviation of the vehicle's acceleration so kept is at least this share of what hills may
+make of it."""
+FIRST_EDGES: Final = 12
+"""A line through this many edges in neutral gives angle and speed at its start."""
+
+
+@cache
+def even(count: int) -> Vector:
+    """Numbers that fill 0 to 1 evenly, (len(PRIMES), count)."""
+    found = np.zeros((len(PRIMES), count))
+    for row, base in zip(found, PRIMES, strict=True):
+        rest, share = np.arange(1, count + 1), 1.0
+        while rest.any():
+            share /= base
+            row += share * (rest % base)
+            rest //= base
+    return found
+
+
+@cache
+def normal(count: int) -> Vector:
+    """The same as numbers of the normal law."""
+    law = NormalDist()
+    return np.array([[law.inv_cdf(value) for value in row] for row in even(count).tolist()])
+
+
+@cache
+def scattered_twice(count: int) -> Vector:
+    """Numbers of the normal law that go with no others, neither those above nor those of another
+    row nor their own from another place on; each row twice over, (len(PRIMES), 2 count).
+
+    Fractions of i^2 times the root of a prime are spread evenly, and so are their differences
+    between any two rows and any two places (Weyl 1916)."""
+    law, squares = NormalDist(), np.arange(1.0, count + 1.0) ** 2
+    rows = [(squares * math.sqrt(base) % 1.0).tolist() for base in PRIMES]
+    found = np.array([[law.inv_cdf(value) for value in row] for row in rows])
+    return np.concatenate((found, found), axis=1)
 
 
 class LashStart(NamedTuple):
@@ -216,3 +265,54 @@ class Lash:
                 return
             learned.append(figure.after(log, max(sd, least_sd)))
         self.known = LashFigures(*learned)
+
+
+class StartWatch:
+    """Waits for the first edges after a gear's coming out."""
+
+    def __init__(self) -> None:
+        self._since_us = 0.0
+        self._behind: BehindState | None = None
+        self._vehicle: VehicleTrajectory | None = None
+        self.waiting: Vector = np.empty((2, 0))
+        """Edges since the gear came out, until they were enough."""
+
+    def lose(self) -> None:
+        """Edges were lost: nothing from before holds."""
+        self._vehicle = None
+
+    def take_vehicle(self, vehicle: VehicleTrajectory) -> None:
+        """A window in neutral has shown how the vehicle goes."""
+        self._vehicle = vehicle
+
+    def released(self, since_us: float, behind: BehindState | None = None) -> None:
+        """A gear came out no later than this; behind: as in `LashStart`."""
+        self._since_us, self._behind = since_us, behind
+        self.waiting = np.empty((2, 0))
+
+    def take_out(self, edges: Vector, vehicle_sds: tuple[float, float]) -> LashStart | None:
+        """New edges since then; the start once they are enough. vehicle_sds: what is not known of
+        the vehicle's speed (rad/s) and acceleration (rad/s2)."""
+        after = edges[:, edges[0] > self._since_us]
+        self.waiting = np.concatenate((self.waiting, after), axis=1)
+        if self.waiting.shape[1] < FIRST_EDGES:
+            return None
+        waits = (self.waiting[0] - self._since_us) * US
+        speed, angle = np.polyfit(waits, self.waiting[1], 1).tolist()
+        kept, self._vehicle = self._vehicle, None
+        start = LashStart(self._since_us, angle, speed, speed, behind=self._behind)
+        if kept is not None and self._since_us - kept.time_us < KEPT_US:
+            return _kept(start, kept, vehicle_sds)
+        return start
+
+
+def _kept(start: LashStart, vehicle: VehicleTrajectory, sds: tuple[float, float]) -> LashStart:
+    """The start with the vehicle as a window in neutral has shown it."""
+    if not (np.isfinite(vehicle[1:3]).all() and np.isfinite(vehicle.covariance).all()):
+        return start
+    vehicle = vehicle.at(start.time_us)
+    covariance = vehicle.covariance + np.diag((sds[0], HILL_SHARE * sds[1])) ** 2
+    root = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    return start._replace(
+        vehicle_rad_s=vehicle.speed_rad_s, hill_rad_s2=vehicle.hill_rad_s2, vehicle_root=root
+    )

@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.estimate.baseline_tracker import BaselineTracker
+from meshpoint.controller.estimate.baselines import BaselineTracker, CruiseTracker
 from meshpoint.controller.estimate.brake_model import BrakeModel
-from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
-from meshpoint.controller.estimate.cruise import CruiseTracker
-from meshpoint.controller.estimate.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.estimate.layshaft_tracker import (
+    CrossingTracker,
+    LayshaftModels,
+    LayshaftTracker,
+)
 from meshpoint.controller.estimate.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimate.main_tracker import Behind, MainTracker
-from meshpoint.controller.estimate.phase.locked_gear import LockedGear
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.estimate.phase.reference_recovery import ReferenceRecovery
-from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.measure.pressure_samples import (
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.reference_recovery import LockedGear, ReferenceRecovery
+from meshpoint.controller.measure.clock import JUMP_US, SensorClockEstimate
+from meshpoint.controller.measure.gearbox_view import (
     NO_SAMPLES,
+    GearboxView,
     PressureSampler,
     PressureSamples,
+    PressureZero,
 )
-from meshpoint.controller.measure.pressure_zero import PressureZero
-from meshpoint.controller.measure.sensor_clock import JUMP_US, SensorClockEstimate
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.measure.wheel_edges import (
-    BRAKED_RAD_S2,
-    NO_EDGES,
-    EdgeBatch,
-    EdgeFrame,
-    WheelEdges,
+from meshpoint.controller.measure.inputs import EdgeFrame, StepInputs
+from meshpoint.controller.measure.wheel_edges import BRAKED_RAD_S2, NO_EDGES, EdgeBatch, WheelEdges
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    first_order_law,
+    free_motion,
 )
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.j1939 import torque_share

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.measure.gate_layout import (
+from meshpoint.controller.measure.gate import (
     AFTER_REJECTED,
     BETTER,
     CALM,
@@ -65,10 +65,12 @@ from meshpoint.controller.measure.gate_layout import (
     WIDER,
     WRONG,
     Gate,
+    begin_search,
+    judge_gap,
     new_gate,
+    search,
     teeth_of,
 )
-from meshpoint.controller.measure.gate_search import begin_search, judge_gap, search
 from meshpoint.kernels.jit import bare, inlined, record_on
 from meshpoint.kernels.records import Integers, Vector
 

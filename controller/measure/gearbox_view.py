@@ -1,15 +1,52 @@
-"""Sleeves, clutch and gears as measured: which gear is in mesh by the position sensors."""
+"""What the gearbox's sensors show besides edges: sleeves, gears in mesh, clutch, brake pressure.
+
+Clutch: the actuator moves on at the rate of its newest two samples, which says what it will do in
+some hundredths of a second. Further ahead nothing is said.
+
+Brake pressure: a sensor with its filter is a first-order lag, tau m' = p - m, so with Taylor's
+series
+
+    m(t) = m(t - tau) + tau m'(t - tau) + tau^2 / 2 m'' + ... = p(t - tau) + tau^2 / 2 m'' + ...
+
+A sample is therefore the pressure one lag earlier, but for its curvature, which is known from the
+two samples before. For 5 ms, samples each 10 ms and a chamber that empties within 60 ms it is 0.04
+bar, and its noise adds 5 % to a sample's. The sensor's offset is learned while the chamber is
+empty: with the valve off for long enough it is at the pressure of the air around, so whatever the
+sensor shows above that is its offset. Every shift ends with seconds of it.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from meshpoint.controller.measure.clutch_track import ClutchTrack
+import numpy as np
+
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
-from meshpoint.units import US
+from meshpoint.kernels.records import Vector
+from meshpoint.units import SECOND_US, US
+
+LONGEST_US: Final = 30_000
+"""Longest time between two pressure samples; beyond that nothing is said of the way there."""
+
+REST_TIME_CONSTANTS: Final = 8.0
+"""A chamber has emptied this many time constants after its valve went off: to 1 / 3000 of its
+pressure."""
+FORGET: Final = 0.998
+"""Weight of the past with each new sample: 5 s at 10 ms, in which an offset changes little."""
+LEAST_SAMPLES: Final = 10.0
+MOST_PA: Final = 1.5e5
+"""No sensor is off by more than this: more is pressure, of a valve that is stuck."""
+
+GAP_US: Final = 25_000
+"""Samples further apart than this say nothing of how fast the clutch moves."""
+AHEAD_US: Final = 100_000
+"""Nothing is said of where the clutch will be after longer than this."""
+STILL_PER_S: Final = 0.5
+"""Slower than this, an end in 2 s, the clutch counts as standing still."""
 
 VIEW_NEUTRAL_M: Final = 1.5e-3
 """A sleeve within this of the middle is in neutral, or its detent brings it there."""
@@ -29,12 +66,127 @@ SAMPLE_US: Final = 1000
 SAMPLES: Final = 10
 """Of a sleeve in a frame."""
 SLEEVE_COUNT: Final = len(Sleeve)
-
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
 _SPLIT_AT: Final = {-1: Split.LOW, 0: None, 1: Split.HIGH}
 _RANGE_AT: Final = {-1: Range.LOW, 0: None, 1: Range.HIGH}
 _NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()}
+RESTING_M: Final = 1e-3
+"""A sleeve this close to the middle rests: what its sensor reads there is its offset."""
+REST_SHARE: Final = 0.05
+SHORT_M: Final = 4e-4
+"""This far before its nominal position a tooth may stop or rub on a sleeve."""
+
+
+class PressureSamples(NamedTuple):
+    """Samples of a pressure, rising in time."""
+
+    time_us: Vector
+    pressure_pa: Vector
+    """As measured, gauge."""
+    curvature_pa_s2: Vector
+    """Second derivative, by the two samples before; 0 where there are none."""
+
+    def before_the_lag(self, lag_s: float) -> tuple[Vector, Vector]:
+        """Times (us) and pressures (Pa) in front of a sensor's lag."""
+        bent_pa = 0.5 * lag_s * lag_s * self.curvature_pa_s2
+        return self.time_us - lag_s * SECOND_US, self.pressure_pa - bent_pa
+
+
+NO_SAMPLES: Final = PressureSamples(*(np.empty(0) for _ in PressureSamples._fields))
+
+
+def together(parts: Sequence[PressureSamples]) -> PressureSamples:
+    """Samples that follow one another."""
+    return PressureSamples(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+class PressureSampler:
+    """Keeps the newest samples, for the curvature at the next."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[int, float] | None = None
+        self._newest_slope: tuple[int, float] | None = None
+        """Over how long, and the slope (Pa/s)."""
+
+    def take(self, samples: Sequence[tuple[int, float]]) -> PressureSamples:
+        """One step's samples: time (us) and pressure (Pa)."""
+        times_us = [time_us for time_us, _ in samples]
+        pressures_pa = [pressure_pa for _, pressure_pa in samples]
+        curvatures = [self._curvature(*sample) for sample in samples]
+        return PressureSamples(*np.array((times_us, pressures_pa, curvatures), dtype=np.float64))
+
+    def _curvature(self, time_us: int, pressure_pa: float) -> float:
+        before, self._newest = self._newest, (time_us, pressure_pa)
+        slope_before, self._newest_slope = self._newest_slope, None
+        if before is None or not 0 < time_us - before[0] <= LONGEST_US:
+            return 0.0
+        since_us = time_us - before[0]
+        slope = (pressure_pa - before[1]) / (since_us * US)
+        self._newest_slope = since_us, slope
+        if slope_before is None:
+            return 0.0
+        return 2.0 * (slope - slope_before[1]) / ((since_us + slope_before[0]) * US)
+
+
+class PressureZero:
+    """What the sensor shows of an empty chamber."""
+
+    def __init__(self, time_constant_s: float) -> None:
+        self._wait_us = 1e6 * REST_TIME_CONSTANTS * time_constant_s
+        self._driven_us = -math.inf
+        self._weight = self._mean_pa = 0.0
+
+    def take(self, time_us: float, gauge_pa: float, driven: bool) -> float:
+        """One sample, gauge; driven: the valve is on, or will be. Returns the pressure with the
+        offset taken out."""
+        if driven:
+            self._driven_us = time_us
+        elif time_us - self._driven_us > self._wait_us and abs(gauge_pa) <= MOST_PA:
+            self._weight = FORGET * self._weight + 1.0
+            self._mean_pa += (gauge_pa - self._mean_pa) / self._weight
+        return gauge_pa - self.offset_pa
+
+    @property
+    def offset_pa(self) -> float:
+        """The sensor's offset; 0 before some samples have shown it."""
+        return self._mean_pa if self._weight >= LEAST_SAMPLES else 0.0
+
+
+class ClutchTrack:
+    """Position of the clutch, 0 open to 1 closed, by time."""
+
+    def __init__(self) -> None:
+        self.closed: float | None = None
+        """Its newest position; None before the first sample."""
+        self.newest_us = 0
+        self.rate_per_s = 0.0
+        """How fast it closes; negative: opens."""
+        self.before: tuple[int, float] | None = None
+        """The sample before the newest, where it is not long ago."""
+
+    def take(self, time_us: int, closed: float) -> None:
+        """A sample at a sensor time (us)."""
+        since_us = time_us - self.newest_us
+        known = self.closed is not None and 0 < since_us <= GAP_US
+        self.before = (self.newest_us, self.closed or 0.0) if known else None
+        self.rate_per_s = 0.0
+        if self.before is not None:
+            rate = (closed - self.before[1]) / since_us * 1e6
+            self.rate_per_s = rate if abs(rate) >= STILL_PER_S else 0.0
+        self.closed, self.newest_us = closed, time_us
+
+    def falls_to_us(self, level: float) -> float | None:
+        """When the opening clutch passes, or has passed, a level; None where it does not get there
+        at its present rate."""
+        if self.closed is None:
+            return None
+        if self.closed <= level:
+            return float(self.newest_us)
+        if self.rate_per_s >= 0.0:
+            return None
+        ahead_us = (level - self.closed) / self.rate_per_s * 1e6
+        return self.newest_us + ahead_us if ahead_us <= AHEAD_US else None
 
 
 class SleeveTrack(NamedTuple):
@@ -75,13 +227,6 @@ class SleeveTrack(NamedTuple):
             if before < level_m <= after:
                 return self.newest_us - (i + (after - level_m) / (after - before)) * SAMPLE_US
         return None
-
-
-RESTING_M: Final = 1e-3
-"""A sleeve this close to the middle rests: what its sensor reads there is its offset."""
-REST_SHARE: Final = 0.05
-SHORT_M: Final = 4e-4
-"""This far before its nominal position a tooth may stop or rub on a sleeve."""
 
 
 class GearboxView:

@@ -3,24 +3,29 @@
 An edge frame is the thesis's figure 2.2: the last 27 timestamps of one polarity as their low 16
 bits, newest first, with the running number of the newest. So a lost frame loses no edge as long as
 fewer than 27 came since, and the tooth number is never lost.
+
+Where it is lost all the same, the running number bounds by how many teeth the wheel was renumbered.
+The sensor goes on counting edges while the gate (`gate_kernels`) is not sure of tooth numbers:
+while frames are lost, and while a wheel stops and starts again. It cannot count backwards, so each
+of E edges may have been a tooth passing in reverse. The tooth that now has number t had number
+t + k before, with k between a - 2 E and a, where a is the count if all edges went forward; some
+teeth are added at both ends for edges that a sensor misses. Where there was no time to stop and
+start again, no edge went backwards and k = a. With k modulo the wheel's teeth known from its tooth
+pattern (`estimate/teeth`), the number of whole turns follows, or only a few are possible.
+
+No bound is given after a loss at speed while all frames arrived (the sensor was blind and has not
+counted), nor for a wheel with missing teeth, whose edges are not its teeth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.measure.chain_kernels import (
-    BROKEN,
-    CHAIN,
-    STAMPS,
-    chain_edges,
-    pack_frame,
-)
-from meshpoint.controller.measure.gate_kernels import gate_edges, stand, turn
-from meshpoint.controller.measure.gate_layout import (
+from meshpoint.controller.measure.clock import SensorClockEstimate
+from meshpoint.controller.measure.gate import (
     ALONE,
     COUNTING,
     GAPS_TO_TURN,
@@ -28,52 +33,133 @@ from meshpoint.controller.measure.gate_layout import (
     new_gate,
     teeth_of,
 )
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
-from meshpoint.controller.measure.sensor_count import SensorCount
+from meshpoint.controller.measure.gate_kernels import gate_edges, stand, turn
+from meshpoint.controller.measure.inputs import (
+    BROKEN,
+    CHAIN,
+    STAMPS,
+    EdgeFrame,
+    chain_edges,
+    pack_frame,
+)
 from meshpoint.gearbox.sheet import Wheel
 from meshpoint.kernels.records import Integers, RecordMemory, Vector
+
+LONGEST_GAP_US: Final = 5_000_000
+"""Without a frame for longer, the 16 bits may have gone round: 120 teeth at 6,000 rpm: 5.4 s."""
+LOST_FRAMES_US: Final = 50_000
+SLACK: Final = 3
+"""Teeth: edges that wait for their verdict, were left out, or were missed beside a stop."""
+STOPPING: Final = 1.5
+"""Up to this many times the least speed of a count a wheel may have come to a stop."""
 
 LONG_AGO_US: Final = -(1 << 62)
 LONGEST_US: Final = 65_535
 """Without an edge for longer than a 16-bit stamp covers, the wheel counts as standing still."""
 MOST_RAD_S2: Final = 300.0
 """Largest acceleration of a shaft: a layshaft of 0.33 kg m2 braked with 100 Nm."""
-
 BRAKED_RAD_S2: Final = 170.0
 """Largest deceleration to standstill of a shaft that drives the wheels: 8 m/s2, tyre 0.5 m, axle
 ratio 2.85, range ratio 3.75."""
+_ROOM: Final = 4 * STAMPS
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 
-class EdgeFrame(Protocol):
-    """What the eight edge messages of the DBC have in common."""
+class Renumbered(NamedTuple):
+    """Old tooth number less new one, summed over all losses: the least and the most it can be."""
 
-    @property
-    def read_time_us(self) -> int:
-        """Sensor clock of the read, 32 bits."""
+    least: int = 0
+    most: int = 0
+    uncounted: int = 0
+    """Number of losses without a bound: two values are comparable only if this is equal."""
 
-    @property
-    def newest_index(self) -> int:
-        """Running number of the newest edge, 16 bits."""
 
-    @property
-    def valid_stamps(self) -> int:
-        """How many stamps hold an edge."""
+class _Count(NamedTuple):
+    ahead: int
+    """Tooth number less the sensor's running number."""
+    rises: int
+    falls: int
+    time_us: int
+    rate: float
+    """Pitches a microsecond."""
 
-    @property
-    def long_interval(self) -> bool:
-        """An interval in the array is too long to be chained."""
 
-    @property
-    def stopped(self) -> bool:
-        """The newest edge is too old to be placed."""
+class SensorCount:
+    """The running numbers of both polarities of a wheel, unwrapped, beside its tooth numbers."""
 
-    @property
-    def sensor_fault(self) -> bool:
-        """The sensor's supply or signal is out of range: its edges are none."""
+    def __init__(self, most_bend: float, least_rate: float, whole: bool) -> None:
+        """Half the largest acceleration, pitches/us2; the least speed of a count, pitches/us;
+        whether the wheel has all its teeth."""
+        self._most_bend, self._least_rate, self._whole = most_bend, least_rate, whole
+        self._numbers = [0, 0]
+        self._indices: list[int | None] = [None, None]
+        self._read_us, self._stamps = [0, 0], [0, 0]
+        self._last: _Count | None = None
+        self._before: _Count | None = None
+        """As it was when teeth were lost that are not numbered again yet."""
+        self._gap_us = 0
+        self._dragged = False
+        self.anew = False
+        """Whether the sensor has restarted its count after a loss of power; then call `restart`."""
+        self.renumbered = Renumbered()
 
-    @property
-    def timestamp_low_us(self) -> tuple[int, ...]:
-        """Low 16 bits of each edge's time, newest first."""
+    def dragged(self) -> None:
+        """A synchroniser may change the speed at once."""
+        self._dragged = True
+
+    def frame(self, falling: bool, index: int, stamps: int, read_us: int) -> None:
+        """A frame: the running number of its newest edge, and how many stamps it holds."""
+        before = self._indices[falling]
+        if before is not None:
+            gap_us = read_us - self._read_us[falling]
+            self._gap_us = max(self._gap_us, gap_us)
+            self._numbers[falling] += (index - before) & 0xFFFF
+            if gap_us > LONGEST_GAP_US:
+                self._doubt()
+        if stamps < self._stamps[falling]:
+            self.anew = True  # an array gets emptier in no other way
+        self._indices[falling], self._read_us[falling] = index, read_us
+        self._stamps[falling] = stamps
+
+    def lost(self) -> None:
+        """Teeth are not numbered any more."""
+        before = self._before = self._before or self._last
+        slow = before is not None and before.rate < STOPPING * self._least_rate
+        if not self._whole or not (slow or self._gap_us > LOST_FRAMES_US):
+            self._doubt()
+
+    def counting(
+        self, tooth: int, waiting: int, time_us: int, rate: float, turned: bool = False
+    ) -> None:
+        """Tooth of the last rising edge that has one (falling, where teeth begin with those:
+        `turned`); how many newer edges wait for theirs; when the last tooth came, and the speed,
+        pitches/us."""
+        rises, falls = self._numbers[::-1] if turned else self._numbers
+        now = _Count(tooth - (rises - waiting), rises, falls, time_us, rate)
+        if self._before is not None:
+            self._join(self._before, now)
+        self._last, self._before = now, None
+        self._gap_us, self._dragged = 0, False
+
+    def restart(self) -> None:
+        """Takes the sensor's restarted count."""
+        self._indices, self._last, self._before = [None, None], None, None
+        self.anew = False
+        self._doubt()
+
+    def _join(self, before: _Count, now: _Count) -> None:
+        edges, falls = now.rises - before.rises, now.falls - before.falls
+        if abs(edges - falls) > SLACK:
+            self._doubt()
+        stop_us = (before.rate + now.rate) / (2.0 * self._most_bend)
+        if now.time_us - before.time_us < stop_us and not self._dragged:
+            edges = 0
+        forward, total = before.ahead - now.ahead, self.renumbered
+        least = total.least + forward - 2 * edges - SLACK
+        self.renumbered = Renumbered(least, total.most + forward + SLACK, total.uncounted)
+
+    def _doubt(self) -> None:
+        self.renumbered = self.renumbered._replace(uncounted=self.renumbered.uncounted + 1)
 
 
 class Edge(NamedTuple):
@@ -118,8 +204,6 @@ class EdgeHealth(NamedTuple):
 
 
 NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64))
-_ROOM: Final = 4 * STAMPS
-_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 
 class Polarity:

@@ -7,7 +7,7 @@ linear, so that a plan of the engine's torque is a product of matrices.
     w_V' = T_t / J_V + g                            y' = (w_A - w_V - r y) / (1 + r d_t / k_t)
 
 M is the engine's torque and M* the one asked for, i its speed over the propeller shaft's, v the
-twist beyond the flank; the others as in `estimation/loaded_kernels`.
+twist beyond the flank; the others as in `estimate/loaded_kernels`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """Slip and phase of the target gear at times to come, predicted from the estimates of one step.
 
 The layshaft is predicted by zero-order hold over the brake commands, the main shaft with the swing
-of its driveline, or with constant acceleration where that is not estimated.
+of its driveline, or with constant acceleration where that is not estimated. Many times at once are
+worked out by kernels, compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain
+Python.
 """
 
 from __future__ import annotations
@@ -13,9 +15,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import (
+from meshpoint.controller.estimate.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
     LayshaftState,
     MotionModel,
     Ticks,
@@ -23,11 +25,12 @@ from meshpoint.controller.models.models import (
     predict,
     predict_spread,
 )
+from meshpoint.controller.models.layshaft_kernels import MODEL, STATE, STATES, copy_on, travel
 from meshpoint.controller.models.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
-from meshpoint.controller.plan.plan_kernels import MEETING, trajectories, trajectory
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.kinematics import slip_rad_s
-from meshpoint.kernels.records import Vector, filled
+from meshpoint.kernels.jit import compiled, inlined, record_on
+from meshpoint.kernels.records import WORD_BYTES, Vector, filled, layout_of
 from meshpoint.units import US
 
 MOST_TICKS = 16
@@ -36,6 +39,81 @@ MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
 """Tolerance of the root search: some microseconds at the brake's full torque."""
+GROWTH: Final = (0.0, 0.5, 1.0, 1.5)
+"""How the phase's variance grows with the time ahead is worked out at these shares of the time
+from one measurement to the next, beyond the least."""
+
+
+class Meeting:
+    """The gear's two shafts, and the times at which their trajectory is asked for."""
+
+    layshaft_us: float
+    """Time of the layshaft's state."""
+    first_us: float
+    step_us: float
+    i_gear: float
+    reference_rad: float
+    """Phase reference."""
+
+
+MEETING: Final = layout_of(Meeting)
+
+
+@compiled
+def trajectory(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: Vector) -> None:
+    """Phase (unwrapped) and slip at equal steps of time; written to the rows of found (2, n), in
+    which the main shaft's angle and speed at these times are given.
+
+    x: the layshaft's `State`; switches and model as for `travel`; meeting: a `Meeting`."""
+    mesh = record_on(meeting, MEETING)
+    meet(x.copy(), switches, model, mesh, mesh.first_us, found)
+
+
+@compiled
+def trajectories(
+    x: Vector, commands: Vector, model: Vector, meeting: Vector, releases: Vector, found: Vector
+) -> None:
+    """As `trajectory`, after each of m releases of the brake, instead of the switches: found (m, 2,
+    n).
+
+    commands (3, k): times of the brake valve's switches, its states from then on, and when pressure
+    begins to react; releases (3, m): times of the releases, when pressure begins to react to them,
+    and the first time that is asked for after each."""
+    mesh, ahead = record_on(meeting, MEETING), np.empty(STATES)
+    switches = np.empty((2, commands.shape[1] + 1))
+    for r in range(releases.shape[1]):
+        release(commands, releases[0, r], releases[1, r], switches)
+        copy_on(x, ahead)
+        meet(ahead, switches, model, mesh, releases[2, r], found[r])
+
+
+@inlined
+def release(commands: Vector, release_us: float, reacts_us: float, switches: Vector) -> None:
+    """The switches of `BrakeInput.with_release`; room that is left is filled with switches that
+    never come."""
+    kept = commands.shape[1]
+    while kept > 0 and (commands[1, kept - 1] == 0.0 or commands[0, kept - 1] >= release_us):
+        kept -= 1
+    for k in range(switches.shape[1]):
+        switches[0, k], switches[1, k] = math.inf, 0.0
+        if k < kept:
+            switches[0, k], switches[1, k] = commands[2, k], commands[1, k]
+    switches[0, kept] = reacts_us
+
+
+@inlined
+def meet(
+    ahead: Vector, switches: Vector, model: Vector, mesh: Meeting, first_us: float, found: Vector
+) -> None:
+    """The trajectory of a `Meeting` from a time on; the layshaft's state is moved."""
+    state, at_us = record_on(ahead, STATE), mesh.layshaft_us
+    phase, slip = found[0], found[1]
+    for k in range(phase.shape[0]):
+        time_us = first_us + k * mesh.step_us
+        travel(ahead, at_us, time_us, switches, model)
+        at_us = time_us
+        phase[k] = mesh.i_gear * state.theta_rad - phase[k] - mesh.reference_rad
+        slip[k] = mesh.i_gear * state.omega_rad_s - slip[k]
 
 
 class Trajectory(NamedTuple):
@@ -53,11 +131,6 @@ class LastMeasurement(NamedTuple):
     before_us: float
     every_us: int
     """From one measurement to the next."""
-
-
-GROWTH: Final = (0.0, 0.5, 1.0, 1.5)
-"""How the phase's variance grows with the time ahead is worked out at these shares of the time
-from one measurement to the next, beyond the least."""
 
 
 @dataclass(frozen=True)
@@ -258,3 +331,14 @@ def _falling_root(over: Callable[[int], float], first: int, last: int) -> int:
             above *= 0.5 if kept < 0 else 1.0
             kept = -1
     return middle
+
+
+def warm_up() -> None:
+    """Compiles the kernels, or loads what was compiled before."""
+    model = np.ones(MODEL.itemsize // WORD_BYTES)
+    law = model.view(MODEL)["segments"]
+    law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
+    meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0])
+    trajectory(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
+    found = np.ones((1, 2, 1))
+    trajectories(np.ones(STATES), np.empty((3, 0)), model, meeting, np.ones((3, 1)), found)

@@ -1,17 +1,40 @@
-"""Selects the strategy that acts, and predicts phase and slip of the contact it chooses."""
+"""The strategies by name, and which of them acts: what it chooses, and what is predicted of that.
+
+A new strategy: a file in this folder, and a line here. Its name is a value of the DBC's value table
+`Strategy`, in lower case, so that the frames can tell which strategy acted.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.strategies.base import EngagementStrategy
-from meshpoint.controller.plan.strategies.speed_window import SpeedWindow
-from meshpoint.controller.plan.strategies.table import make_strategy
-from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.plan.own_strategy import OwnStrategy
+from meshpoint.controller.plan.speed_window import SpeedWindow
+from meshpoint.controller.plan.speed_window_anticipating import SpeedWindowAnticipating
+from meshpoint.controller.plan.strategy import EngagementStrategy
+from meshpoint.controller.plan.target_phase import TargetPhase
+from meshpoint.controller.settings.settings import STRATEGY_NAMES, ControllerSettings
 from meshpoint.dbc.messages import ShiftDecision, Strategy
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.kinematics import wrap_to_pitch
+
+MakeStrategy = Callable[[GearboxSheet, ControllerSettings], EngagementStrategy]
+STRATEGIES: Final[Mapping[str, MakeStrategy]] = {
+    "speed_window": SpeedWindow,
+    "speed_window_anticipating": SpeedWindowAnticipating,
+    "target_phase": TargetPhase,
+}
+AIMING: Final = frozenset(name for name in STRATEGY_NAMES if vars(STRATEGIES[name])["aims"])
+"""Those that aim at a phase."""
+
+
+def make_strategy(sheet: GearboxSheet, settings: ControllerSettings) -> EngagementStrategy:
+    """The strategy that the settings ask for. StrategyError where a user's own cannot be made."""
+    if settings.strategy_file is not None:
+        return OwnStrategy(settings.strategy_file, sheet, settings)
+    return STRATEGIES[settings.strategy_name](sheet, settings)
 
 
 class Plan(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.estimate.brake_kernels import pressure_trajectory
-from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimate.brake_model import pressure_trajectory
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
 from meshpoint.controller.estimate.crossing_kernels import inverse_of_positive
 from meshpoint.controller.estimate.lash_cloud import correct
 from meshpoint.controller.estimate.loaded_kernels import (
@@ -14,13 +14,18 @@ from meshpoint.controller.estimate.loaded_kernels import (
     follow_loaded,
     loaded_ahead,
 )
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
-from meshpoint.controller.measure import chain_kernels as edge_kernels
-from meshpoint.controller.measure import gate_kernels as edge_gate
-from meshpoint.controller.models.kernels import STATES
-from meshpoint.controller.models.lash_motion import ROWS, LashModel, move
-from meshpoint.controller.models.lash_trajectory import Chance, LashTrajectory
-from meshpoint.controller.models.linear_kernels import (
+from meshpoint.controller.measure import gate_kernels, inputs
+from meshpoint.controller.models.backlash import ROWS, Chance, LashModel, LashTrajectory, move
+from meshpoint.controller.models.layshaft import (
+    Ticks,
+    first_order_law,
+    following_motion,
+    outlook,
+    predict,
+)
+from meshpoint.controller.models.layshaft_kernels import STATES
+from meshpoint.controller.models.swing import SWING_STATES, Swing, SwingMotion, SwingRates
+from meshpoint.controller.models.thesis import (
     CRUISE_FILTER,
     LINEAR,
     THESIS_FILTER,
@@ -28,18 +33,9 @@ from meshpoint.controller.models.linear_kernels import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.models.models import (
-    Ticks,
-    first_order_law,
-    following_motion,
-    outlook,
-    predict,
-)
-from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates
-from meshpoint.controller.models.swing_kernels import SWING_STATES
-from meshpoint.controller.plan import plan_kernels
+from meshpoint.controller.plan import gear_predictor, target_phase
 from meshpoint.controller.settings.settings import CrossingFilterTuning
-from meshpoint.controller.shift.unloading import least_within
+from meshpoint.controller.shift.engine import least_within
 from meshpoint.controller.sleeve import cylinder
 from meshpoint.kernels.records import WORD_BYTES, RecordMemory, filled
 from meshpoint.kernels.watch import uncollected
@@ -55,9 +51,10 @@ def warm_up(baselines: bool = False) -> None:
 def warm_up_sensing() -> None:
     """Those of sensing, sleeves and planning: some third of the work."""
     with uncollected():
-        edge_kernels.warm_up()
-        edge_gate.warm_up()
-        plan_kernels.warm_up()
+        inputs.warm_up()
+        gate_kernels.warm_up()
+        gear_predictor.warm_up()
+        target_phase.warm_up()
         cylinder.warm_up()
 
 

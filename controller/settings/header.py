@@ -2,6 +2,11 @@
 
 It is saved beside the log under the name of its hash, and the hash is in every status frame; so a
 log finds its header, and a header that was changed is noticed.
+
+It says as well what the last bit of a result depends on beside the code: libraries, processor, C
+library. Not on Python's minor version, as long as nothing adds floats by `sum`, which is
+compensated from 3.12 on. OpenBLAS has other kernels for other processors, and the C library takes
+FMA where there is one; both then round otherwise.
 """
 
 from __future__ import annotations
@@ -9,16 +14,20 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import platform
 from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from meshpoint.controller.settings.arithmetic import arithmetic
+import numpy as np
+
 from meshpoint.controller.settings.learned import Calibration, read_calibration
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import FORM, StrategyFile, is_file_name
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.gearbox import GearboxSheet
@@ -26,7 +35,54 @@ from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.sheet import sheet_from_canonical
 from meshpoint.gearbox.tables import TableError, read_values
 
+LIBRARIES: Final = ("numpy", "scipy", "numba")
+SIZES: Final = (4, 7, 30)
+"""Of the matrices tried: OpenBLAS works on blocks, and on what is left over."""
+ELEMENTARY: Final = (math.exp, math.sin, math.cos)
+NUMBERS: Final = 3_000
+"""Of a thousand values of these functions one is rounded otherwise without FMA (glibc 2.36)."""
+
 HEADER_LIMIT_BYTES: Final = 4 * 1024 * 1024
+
+
+@cache
+def arithmetic() -> str:
+    """The libraries that compute, the C library, and a digest of what they make here of fixed
+    numbers; equal where the same steps give the same bytes."""
+    parts = [f"{name} {version(name)}" for name in LIBRARIES]
+    parts.append(" ".join(platform.libc_ver()).strip() or platform.system())
+    return ", ".join((*parts, f"rounding {rounding()}"))
+
+
+def rounding() -> str:
+    """The digest, eight characters; 2 ms."""
+    hashed = hashlib.sha256()
+    numbers = np.arange(1.0, NUMBERS + 1.0) * 0.618034 % 1.0 * 10.0
+    for function in ELEMENTARY:
+        hashed.update(np.array(list(map(function, numbers.tolist()))).tobytes())
+    hashed.update(np.exp(numbers).tobytes())
+    for size in SIZES:
+        matrix = np.resize(numbers, (size, size + 1))[:, :size] + np.eye(size)
+        product = matrix @ matrix.T
+        for made in (
+            product,
+            matrix @ numbers[:size],
+            numbers[:size] @ numbers[-size:],
+            np.linalg.inv(matrix),
+            np.linalg.cholesky(product),
+        ):
+            hashed.update(made.tobytes())
+    return hashed.hexdigest()[:8]
+
+
+class XcpAccess(IntEnum):
+    """By `meshpoint controller --xcp`."""
+
+    OFF = 0
+    READ = 1
+    """Measure, and read the settings."""
+    WRITE = 2
+    """Change settings as well."""
 
 
 class HeaderError(ValueError):
@@ -49,7 +105,7 @@ class RunHeader:
     xcp: XcpAccess = XcpAccess.OFF
     """What an XCP master may do. Its changes of the settings are frames, and not in here."""
     arithmetic: str | None = None
-    """What rounding depends on (`settings/arithmetic.py`); None: written before it was kept."""
+    """What rounding depends on (`arithmetic`); None: written before it was kept."""
 
     def canonical(self) -> str:
         """One line of JSON with sorted keys; what is hashed and saved."""

@@ -83,7 +83,7 @@ class WheelRecords:
 
 @dataclass(frozen=True)
 class ReferenceRecords:
-    """Phase references (`estimate/phase/reference.py`), in the numbering of the wheels' teeth."""
+    """Phase references (`estimate/reference.py`), in the numbering of the wheels' teeth."""
 
     crawl_rad: float | None = quantity("crawl_deg", -180.0, 180.0, DEG, default=None)
     first_rad: float | None = quantity("first_deg", -180.0, 180.0, DEG, default=None)
@@ -218,7 +218,7 @@ class ByGear(Generic[Record]):
 
 @dataclass(frozen=True)
 class SleeveRecord:
-    """A sleeve's contacts with one gear (`controller/sleeve/contact_chance.py`)."""
+    """A sleeve's contacts with one gear (`controller/sleeve/stroke.py`)."""
 
     delay_s: float = quantity("delay_ms", 1.0, 500.0, MS)
     """From activation to contact, from neutral and at the data sheet's supply pressure."""

@@ -31,7 +31,7 @@ READ_CYCLE_US: Final = CODECS[EdgesInputRise.__name__].spec.cycle_time_us
 """From one read of the sensors to the next: no shorter tick sees more of them."""
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
-"""The strategies of the DBC's value table; `strategies.table` has the class of each."""
+"""The strategies of the DBC's value table; `plan/strategist` has the class of each."""
 ESTIMATOR_NAMES: Final = {
     "window": Estimator.WINDOW,
     "thesis": Estimator.THESIS,

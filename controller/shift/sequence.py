@@ -4,6 +4,9 @@ Up: clutch open, old gear out, brake the layshaft, release the brake, fire the s
 position that the gear is in, close valve and clutch. Down: the engine first brings the layshaft
 above the new gear's speed, through the closed clutch; from there it falls as on the way up.
 Splitter and range move while the main box is in neutral.
+
+The handlers of states between shifts are here (starting, in gear, in neutral, clutch closing,
+faulted), those of a shift in a file for each part of it.
 """
 
 from __future__ import annotations
@@ -13,21 +16,19 @@ from collections.abc import Callable
 from typing import Final
 
 from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.strategy_file import StrategyError
-from meshpoint.controller.shift.between_shifts import (
-    close_clutch,
-    find_gear,
-    wait_for_position,
-    watch_gear,
+from meshpoint.controller.shift.context import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
+from meshpoint.controller.shift.disengage import (
+    bring_to_neutral,
+    disengage,
+    has_left_neutral,
+    open_clutch,
 )
-from meshpoint.controller.shift.context import ShiftContext
-from meshpoint.controller.shift.disengage import disengage, open_clutch
-from meshpoint.controller.shift.engage import CALLS, engage, recall, retract
+from meshpoint.controller.shift.engage import CALLS, engage, recall, retract, stand
+from meshpoint.controller.shift.engine import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
-from meshpoint.controller.shift.halt import stand
-from meshpoint.controller.shift.ringing import FREE_STATES
-from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
-from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import FREE_STATES, MISSING, StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
 from meshpoint.controller.shift.table import (
     NEUTRAL_WANTED,
@@ -36,14 +37,120 @@ from meshpoint.controller.shift.table import (
     ShiftRecord,
     Trigger,
 )
-from meshpoint.controller.shift.to_neutral import has_left_neutral
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
 
+FREE_AGAIN_US: Final = 300 * MS_IN_US
+"""A sleeve that has not come to neutral is tried again after so long."""
+
 Handler = Callable[[ShiftContext, StepSnapshot], Trigger | None]
+RAISE_ROOM: Final = 1.11
+"""For a lower gear, and out of neutral, the engine raises the input shaft by so much above the
+speed that the gear will have: the slip that is asked for, and what the engine overshoots."""
+SLIP_ROW: Final = 3
+"""While the guard forbids each contact for its slip, the gear is too slow, or the main shaft swings
+too far for it: the engine brings the gear above its sleeve again."""
+FAULT_OF_ROW: Final = {
+    6: FaultCode.BRAKE_LIMIT,
+    9: FaultCode.INPUT_OVERSPEED,
+    10: FaultCode.DISENGAGE_REFUSED,
+    11: FaultCode.LOW_SUPPLY,
+}
+"""The fault for a shift that a row of the guard's table has ended; GUARD_BLOCKED for other rows."""
+
+
+def find_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+    """After power-up: waits until everything a shift needs is there and the guard lets valves be
+    driven, then finds the gear: who reads that a gear is in may ask for another. A sleeve that
+    stands between neutral and a gear is brought to neutral first."""
+    if snapshot.lost in MISSING:
+        return None
+    if snapshot.view.complete and snapshot.view.main_gear is None:
+        _free_sleeves(context, snapshot)
+        return None
+    found = watch_gear(context, snapshot)
+    return found if snapshot.is_self_tested else None
+
+
+def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+    """In gear or in neutral with the clutch closed; follows the gear that the positions show."""
+    context.clutch = ClutchAction.CLOSE
+    _catch_engine(context, snapshot)
+    gear = snapshot.view.main_gear if snapshot.view.complete else None
+    if gear is None:
+        return None
+    if gear is MainGear.NEUTRAL:
+        return Trigger.FOUND_IN_NEUTRAL if context.state is not State.NEUTRAL else None
+    return Trigger.FOUND_IN_GEAR if context.state is not State.IN_GEAR else None
+
+
+def _catch_engine(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """Where the guard lets no clutch close because the engine turns too differently, it is asked
+    for the gear's speed until the clutch has closed: a controller that starts, or comes back, while
+    the truck rolls and the engine idles."""
+    gear = DRIVE_GEARS.get(snapshot.view.gear_number) if snapshot.view.complete else None
+    is_closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
+    context.catches_engine |= context.closing_blocked
+    if not context.catches_engine:
+        return
+    if gear is None or is_closed:
+        context.catches_engine, context.engine_rad_s = False, None
+    else:
+        context.ask_engine(gear, 0.0, snapshot)
+
+
+def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+    """After a shift: the engine is asked for the gear's speed and the clutch closes.
+
+    The clutch stays open while a sleeve is between neutral and a gear."""
+    limit_ms = context.settings.limits.clutch_ms
+    if snapshot.view.main_gear is None:
+        context.clutch = ClutchAction.OPEN
+        return Trigger.GEAR_UNKNOWN if context.late(snapshot, limit_ms) else None
+    context.clutch = ClutchAction.CLOSE
+    gear = DRIVE_GEARS.get(snapshot.view.gear_number)
+    if gear is not None:
+        context.ask_engine(gear, 0.0, snapshot)
+    late = context.late(snapshot, limit_ms)
+    if late and context.fault is FaultCode.NONE:
+        context.fault = FaultCode.CLUTCH_STUCK
+    if late or (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE:
+        context.engine_rad_s = None
+        return watch_gear(context, snapshot)
+    return None
+
+
+def wait_for_position(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+    """Faulted: it is unknown which gear is in mesh. The clutch stays open until the position
+    sensors show a gear or neutral again; a sleeve that they show in between is brought to
+    neutral."""
+    context.clutch = ClutchAction.OPEN
+    if snapshot.lost is FaultCode.POSITION_STALE:
+        return None
+    if snapshot.view.main_gear is None:
+        # The shift that has just ended has tried.
+        if snapshot.now_us - context.since_us > FREE_AGAIN_US:
+            _free_sleeves(context, snapshot)
+        return None
+    if snapshot.view.main_gear is MainGear.NEUTRAL:
+        return Trigger.FOUND_IN_NEUTRAL
+    return Trigger.FOUND_IN_GEAR
+
+
+def _free_sleeves(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    """Brings sleeves that stand between neutral and a gear to neutral, the clutch open; one that
+    has not come is tried again after a while, so that it does not take all the air."""
+    context.clutch = ClutchAction.OPEN
+    is_ready = snapshot.is_self_tested and context.armed and snapshot.view.clutch_parted
+    # Another time where the sensors' clock has gone back since.
+    if is_ready and not 0 <= snapshot.now_us - context.freed_us <= FREE_AGAIN_US:
+        context.freed_us = snapshot.now_us
+        bring_to_neutral(context, snapshot, stands=True)
+
+
 HANDLERS: Final[dict[State, Handler]] = {
     State.STARTING: find_gear,
     State.IN_GEAR: watch_gear,
@@ -62,19 +169,6 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.CLUTCH_CLOSING: close_clutch,
     State.FAULTED: wait_for_position,
 }
-RAISE_ROOM: Final = 1.11
-"""For a lower gear, and out of neutral, the engine raises the input shaft by so much above the
-speed that the gear will have: the slip that is asked for, and what the engine overshoots."""
-SLIP_ROW: Final = 3
-"""While the guard forbids each contact for its slip, the gear is too slow, or the main shaft swings
-too far for it: the engine brings the gear above its sleeve again."""
-FAULT_OF_ROW: Final = {
-    6: FaultCode.BRAKE_LIMIT,
-    9: FaultCode.INPUT_OVERSPEED,
-    10: FaultCode.DISENGAGE_REFUSED,
-    11: FaultCode.LOW_SUPPLY,
-}
-"""The fault for a shift that a row of the guard's table has ended; GUARD_BLOCKED for other rows."""
 
 
 class ShiftSequence(ShiftContext):

@@ -1,18 +1,30 @@
-"""The inputs of the shift sequence at one step."""
+"""What the shift sequence sees at one step, and what it makes of it over several.
+
+Over several steps: whether the driveline rings once a gear is out (shafts and tyres that twist, or
+rigid ones), and how far the engine's torque has fallen by what the engine says (EEC1), what will be
+left, and how the engine changes its speed meanwhile.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.estimate.layshaft import LayshaftTracker
+import numpy as np
+
+from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
 from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
 from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.swing import ShaftState
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.valve_name import Driven
+from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode
+from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.units import SECOND_US
 
 MISSING: Final = (FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST)
 """Inputs that a shift needs and that are not there."""
@@ -23,6 +35,19 @@ WHEEL_FAULTS: Final = (
     FaultCode.PROPELLER_WHEEL_WRONG,
 )
 """By the number of the shaft whose speed wheel reads wrong."""
+
+RINGS_RAD_S: Final = 0.25
+"""Standard deviation of the main shaft's speed about a straight line above which it rings (2.4 rpm,
+7 rpm from peak to peak): that moves a gear's tooth against its sleeve by half a gap within 45 ms.
+Errors of the sensor wheel's teeth are 0.1 rad/s."""
+LEAST_MEASUREMENTS: Final = 6
+"""Measurements, one a read of the sensors, from which a line can be distinguished from a swing."""
+FREE_STATES: Final = frozenset({State.SYNCHRONISING, State.COASTING})
+
+MEASUREMENTS: Final = 6
+"""The engine's acceleration is that of its last 50 ms."""
+LONGEST_GAP_US: Final = 25_000
+"""Over a longer pause in what the engine says nobody knows what it did."""
 
 
 @dataclass(frozen=True)
@@ -60,3 +85,85 @@ class StepSnapshot:
     def at_once_us(self) -> int:
         """When a valve can be switched against a sleeve's motion, which waits for no lead."""
         return self.now_us + BUS_US + self.more_lead_us
+
+
+class DrivelineRings:
+    """Learned from the main shaft's speed in neutral, from when the old gear is out until the
+    sleeve is fired for the new one."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self.twists = False
+        """Whether shafts between engine and road are known to twist: seen to ring, and by how much
+        the sheet says. What once did twists for good."""
+        self._is_told = sheet.driveline.stiffness_nm_rad > 0.0
+        self._measurements: list[tuple[int, float]] = []
+
+    def measure(self, state: State, snapshot: StepSnapshot) -> None:
+        """One step: one without a new speed shows nothing."""
+        main = snapshot.speeds.main
+        is_free = state in FREE_STATES and snapshot.view.main_gear is MainGear.NEUTRAL
+        if is_free and main is not None:
+            if not self._measurements or main != self._measurements[-1][1]:
+                self._measurements.append((snapshot.now_us, main))
+            return
+        if len(self._measurements) >= LEAST_MEASUREMENTS and not self.twists:
+            self.twists = self._is_told and self._swing_rad_s() > RINGS_RAD_S
+        self._measurements.clear()
+
+    def _swing_rad_s(self) -> float:
+        """Standard deviation about the straight line that suits the measurements best."""
+        time_us, speed = np.array(self._measurements).T
+        time_s = 1e-6 * (time_us - time_us[0])
+        line = np.column_stack((np.ones_like(time_s), time_s))
+        _, squares, _, _ = np.linalg.lstsq(line, speed, rcond=None)
+        return float(np.sqrt(squares.sum() / (len(speed) - line.shape[1])))
+
+
+class TorqueFall:
+    """The engine's torque as it says it to be, and what will be left of it."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[int, float] | None = None
+        self._before: tuple[int, float] | None = None
+        self.step = 0.01
+        """The engine says it in steps of this share of its reference torque."""
+        self._speeds: deque[tuple[int, float]] = deque(maxlen=MEASUREMENTS)
+
+    def take(
+        self, now_us: int, share: float | None, step: float = 0.01, speed_rad_s: float | None = None
+    ) -> None:
+        """One step's torque, as a share of the engine's reference torque, None: nothing new; and in
+        which steps it is said; and the engine's speed."""
+        if speed_rad_s is not None:
+            if self._speeds and now_us - self._speeds[-1][0] > LONGEST_GAP_US:
+                self._speeds.clear()
+            self._speeds.append((now_us, speed_rad_s))
+        if share is not None:
+            self._before, self._newest, self.step = self._newest, (now_us, share), step
+
+    @property
+    def engine_rad_s2(self) -> float:
+        """The engine's acceleration; 0 before it was seen for long enough."""
+        if len(self._speeds) < MEASUREMENTS:
+            return 0.0
+        (first_us, first), (last_us, last) = self._speeds[0], self._speeds[-1]
+        return (last - first) / max(1, last_us - first_us) * SECOND_US
+
+    @property
+    def share(self) -> float | None:
+        """The newest torque; None where the engine says none."""
+        return None if self._newest is None else self._newest[1]
+
+    def left_in(self, ahead_s: float) -> float | None:
+        """The torque after so long, falling toward zero exponentially as it does now; None where
+        the engine says none."""
+        if self._newest is None:
+            return None
+        now_us, share = self._newest
+        if self._before is None or share == 0.0:
+            return share
+        before_us, before = self._before
+        if now_us <= before_us or share * before <= 0.0 or abs(share) >= abs(before):
+            return share
+        rate = math.log(share / before) / ((now_us - before_us) / SECOND_US)
+        return share * math.exp(rate * ahead_s)

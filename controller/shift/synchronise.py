@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.strategies.base import EngagementStrategy
 from meshpoint.controller.plan.strategist import Plan
+from meshpoint.controller.plan.strategy import EngagementStrategy
 from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
-from meshpoint.controller.shift.brake_measurement import brake_holds
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
-from meshpoint.controller.shift.speed_up import too_slow
+from meshpoint.controller.shift.engine import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
-from meshpoint.gearbox import MainGear
+from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN
-from meshpoint.units import SECOND_US
+from meshpoint.units import SECOND_US, US
+
+HELD_SHARE: Final = 0.3
+"""Of the supply's pressure: so much more than the slowest law of the data sheet leaves is held."""
+SETTLED: Final = 5.0
+"""This many time constants after a release nothing is left, and the sensor has seen it fall."""
 
 KEEP_US: Final = 6 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
@@ -235,3 +240,22 @@ def plan_firing(
         context.board.schedule(valve, True, plan.fire_us, snapshot.now_us)
         context.decision = plan
     shift.plan = plan
+
+
+def brake_holds(sheet: GearboxSheet, predictor: GearPredictor, measured_pa: float) -> bool:
+    """Whether the brake still has the pressure of which it should be rid: a valve that is stuck. No
+    gear may be engaged then, and no prediction holds that lets the pressure fall.
+
+    measured_pa: the newest sample, gauge. An estimate that has just begun with a free layshaft does
+    not know it yet."""
+    brake, state = sheet.brake, predictor.layshaft
+    switches = predictor.brake.arrays()
+    is_known = switches.shape[1] > 0
+    if is_known and switches[1, -1] > 0.0:
+        return False
+    since_s = (state.time_us - float(switches[0, -1])) * US if is_known else math.inf
+    slowest_s = brake.time_constant_s * (1.0 + brake.time_constant_tolerance)
+    if since_s > SETTLED * slowest_s and measured_pa > HELD_SHARE * sheet.air.supply_gauge_pa:
+        return True
+    left = math.exp(-max(0.0, since_s) / slowest_s)
+    return state.pressure_pa > (left + HELD_SHARE) * sheet.air.supply_gauge_pa

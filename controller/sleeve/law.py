@@ -1,18 +1,26 @@
-"""What is to be learned of a sleeve, and what the data sheet says of it before anything is.
+"""A sleeve's law: what the data sheet says of it, how it is learned, and what is kept of it.
 
 The valves' conductance is no key of the sheet: it is the one that gives the sheet's delay from
 neutral to contact, so the prior of it hangs together with that of friction, damping, dead volume,
 vents and detent: whatever these are, the delay is known to the sheet's tolerance.
+
+The samples of a movement go through an iterated extended Kalman filter over the whole movement.
+Unknown are the figures of the law (`PARAMETERS`), and how late each switch's spool is beyond its
+valve's learned delay. Both have a prior; the law gives the places in between.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.settings.learned import SleeveLawRecord
 from meshpoint.controller.sleeve.cylinder import (
+    DAMPING,
+    DEAD,
     DETENT,
     DETENT_UNIT_N,
     FEED,
@@ -22,6 +30,7 @@ from meshpoint.controller.sleeve.cylinder import (
     IN_GEAR,
     LAW,
     LEFT,
+    OFF,
     OFFSET,
     ON,
     PARAMETERS,
@@ -50,6 +59,20 @@ MOST_CONDUCTANCE: Final = 1e-6
 SLOPE_STEP: Final = 0.05
 LONGEST_S: Final = 0.5
 """No sleeve takes longer to its gear."""
+
+SAMPLE_SD_M: Final = 8e-5
+"""Of a sample from the law: its noise, and what a law leaves out."""
+INDEPENDENT: Final = 40
+"""More samples than these weigh no more: what the law leaves out lasts longer than a sample."""
+LARGEST_STEP_SDS: Final = 4.0
+"""The law bends too much for a longer step."""
+HALVINGS: Final = 4
+Figures = Callable[[Vector], Vector]
+"""From unknowns, one row each, to a figure of each row, or a row of figures."""
+
+KEPT = [k for k in range(PARAMETERS) if k != LEFT]
+"""What outlasts a movement."""
+LEAST_VARIANCE = 1e-14
 
 
 class Prior(NamedTuple):
@@ -164,3 +187,108 @@ class SleeveLaw:
             slow = self._travels_s(learned)[0] > travel_s
             low, high = (middle, high) if slow else (low, middle)
         feed[:] = math.exp(0.5 * (low + high))
+
+
+class Fitted(NamedTuple):
+    """Unknowns (PARAMETERS + switches,) with covariance, and what is left of the samples (m)."""
+
+    mean: Vector
+    covariance: Vector
+    left_m: Vector
+
+
+def probes(count: int) -> Vector:
+    """Steps for the slopes: of delays (s), logarithms, detents (kN), offset (mm)."""
+    steps = np.full(count, 0.02)
+    steps[:FEED] = 2e-4
+    steps[DETENT] = steps[IN_GEAR] = 0.01
+    steps[OFFSET] = 0.05
+    steps[PARAMETERS:] = 2e-4
+    return steps
+
+
+def slopes(of: Figures, at: Vector, base: float | Vector, moved_by: Sequence[int]) -> Vector:
+    """How each figure that `of` gives, here `base`, changes with each unknown: one column each.
+    moved_by: those that it changes with at all."""
+    steps = probes(len(at))
+    tried = np.tile(at, (len(moved_by), 1))
+    tried[range(len(moved_by)), moved_by] += steps[moved_by]
+    rows = np.zeros((len(at), *np.shape(base)))
+    rows[moved_by] = ((of(tried) - base).T / steps[moved_by]).T
+    return rows.T
+
+
+def fit(
+    places: Figures,
+    seen_m: Vector,
+    prior: Prior,
+    begin: Vector,
+    iterations: int,
+) -> Fitted:
+    """The most likely unknowns, from `begin` on. places: the readings (m) that unknowns give."""
+    noise = SAMPLE_SD_M**2 * max(1.0, len(seen_m) / INDEPENDENT)
+    mean, covariance = prior
+    inverse = np.linalg.inv(covariance)
+
+    def cost(z: Vector, left: Vector) -> float:
+        return float(left @ left) / noise + float((z - mean) @ inverse @ (z - mean))
+
+    z, left = begin, seen_m - places(begin[np.newaxis])[0]
+    now = cost(z, left)
+    posterior: Vector = covariance
+    for _ in range(iterations):
+        slope = slopes(places, z, seen_m - left, range(len(z)))
+        information = inverse + slope.T @ slope / noise
+        posterior = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        step = posterior @ (slope.T @ left / noise - inverse @ (z - mean))
+        step /= max(
+            1.0, float(np.max(np.abs(step) / np.sqrt(np.diag(covariance)))) / LARGEST_STEP_SDS
+        )
+        for _ in range(HALVINGS):
+            tried = z + step
+            rest = seen_m - places(tried[np.newaxis])[0]
+            then = cost(tried, rest)
+            if then < now:
+                z, left, now = tried, rest, then
+                break
+            step = 0.5 * step
+        else:
+            break
+    return Fitted(z, posterior, left)
+
+
+def law_record(known: Prior, movements: int) -> SleeveLawRecord:
+    """What a calibration file keeps."""
+    mean, factor = known.mean, np.exp(known.mean)
+    covariance = known.covariance[np.ix_(KEPT, KEPT)]
+    root = np.linalg.cholesky(covariance + LEAST_VARIANCE * np.eye(len(KEPT)))
+    return SleeveLawRecord(
+        movements=movements,
+        on_delay_s=tuple(mean[ON : ON + 2].tolist()),
+        off_delay_s=tuple(mean[OFF : OFF + 2].tolist()),
+        filling=tuple(factor[FEED : FEED + 2].tolist()),
+        friction=float(factor[FRICTION]),
+        damping=float(factor[DAMPING]),
+        dead_volume=float(factor[DEAD]),
+        vent=float(factor[VENT]),
+        detent_n=float(mean[DETENT]) * DETENT_UNIT_N,
+        in_gear_n=float(mean[IN_GEAR]) * DETENT_UNIT_N,
+        offset_m=float(mean[OFFSET]) * OFFSET_UNIT_M,
+        gain=float(factor[GAIN]),
+        root=tuple(root[np.tril_indices(len(KEPT))].tolist()),
+    )
+
+
+def known_from(record: SleeveLawRecord) -> Prior:
+    """The inverse."""
+    mean, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
+    mean[ON : ON + 2], mean[OFF : OFF + 2] = record.on_delay_s, record.off_delay_s
+    factors = (record.friction, record.damping, record.dead_volume, record.vent)
+    mean[FEED : FEED + 2], mean[FRICTION : VENT + 1] = np.log(record.filling), np.log(factors)
+    mean[DETENT], mean[IN_GEAR] = record.detent_n / DETENT_UNIT_N, record.in_gear_n / DETENT_UNIT_N
+    mean[OFFSET], mean[GAIN] = record.offset_m / OFFSET_UNIT_M, np.log(record.gain)
+    root = np.zeros((len(KEPT), len(KEPT)))
+    root[np.tril_indices(len(KEPT))] = record.root
+    covariance[np.ix_(KEPT, KEPT)] = root @ root.T + LEAST_VARIANCE * np.eye(len(KEPT))
+    covariance[LEFT, LEFT] = LEFT_SD**2
+    return Prior(mean, covariance)

@@ -12,30 +12,33 @@ from meshpoint.controller.settings.learned import (
     SleeveRecords,
 )
 from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
-from meshpoint.controller.sleeve.answers import Halt, Place, Pulse, Stroke
-from meshpoint.controller.sleeve.contact_chance import FAR_S, ContactChance
 from meshpoint.controller.sleeve.cylinder import ON
-from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
-from meshpoint.controller.sleeve.law import SleeveLaw
-from meshpoint.controller.sleeve.law_figures import LawFigures, law_figures
-from meshpoint.controller.sleeve.law_record import known_from, law_record
-from meshpoint.controller.sleeve.motion import Switch
-from meshpoint.controller.sleeve.stopping import (
+from meshpoint.controller.sleeve.driven import DrivenSleeve, Switch, valve_towards
+from meshpoint.controller.sleeve.law import SleeveLaw, known_from, law_record
+from meshpoint.controller.sleeve.stroke import (
+    FAR_S,
     LONGEST_PULSE_US,
+    LONGEST_US,
+    NEAR_NEUTRAL_M,
     SHORTEST_PULSE_US,
+    ContactChance,
+    Halt,
+    LawFigures,
+    Place,
+    Pulse,
+    Stroke,
     aborted,
+    contact_sd_s,
     halted,
     latest_abort_us,
     latest_from_neutral_us,
-    stops,
-)
-from meshpoint.controller.sleeve.stroke import LONGEST_US, contact_sd_s, to_contact
-from meshpoint.controller.sleeve.to_rest import (
-    NEAR_NEUTRAL_M,
+    law_figures,
     may_be_thrown,
     pulse_of,
     pulse_to_neutral_us,
     rests_at_m,
+    stops,
+    to_contact,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
@@ -410,12 +413,8 @@ class Sleeves:
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
         contact_us = self.from_neutral(gear).contact_us
         self.supply_pa = supply_pa
-        return SleeveRecord(
-            delay_s=max(contact_us * US, self._least_s),
-            samples=chance.weight,
-            scatter_s=chance.scatter_s,
-            scatter_samples=chance.freedom,
-        )
+        delay_s = max(contact_us * US, self._least_s)
+        return SleeveRecord(delay_s, chance.weight, chance.scatter_s, chance.freedom)
 
     def laws(self) -> SleeveLawRecords:
         """What it keeps of the sleeves whose law was learned."""

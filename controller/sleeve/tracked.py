@@ -10,10 +10,8 @@ import numpy as np
 
 from meshpoint.controller.measure.gearbox_view import SAMPLE_US, SleeveTrack
 from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_TIME
-from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
-from meshpoint.controller.sleeve.fit import fit
-from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw
-from meshpoint.controller.sleeve.motion import Start, Way, follow
+from meshpoint.controller.sleeve.driven import DrivenSleeve, Start, Way, follow, valve_towards
+from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw, fit
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 

@@ -7,13 +7,10 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
+from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
-from meshpoint.controller.xcp.daq import Event
-from meshpoint.controller.xcp.measured import StepFacts
-from meshpoint.controller.xcp.memory import Memory
-from meshpoint.controller.xcp.parameters import CalibrationPages, changes_in_words
-from meshpoint.controller.xcp.protocol import FD_LENGTHS
+from meshpoint.controller.xcp.memory import CalibrationPages, Memory, StepFacts, changes_in_words
+from meshpoint.controller.xcp.protocol import FD_LENGTHS, Event
 from meshpoint.controller.xcp.slave import XcpSlave
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_RESPONSE_ID

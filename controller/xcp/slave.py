@@ -12,24 +12,28 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
-from meshpoint.controller.xcp.daq import (
-    MODE_STAMPED,
-    PROPERTIES,
-    STAMP_MODE,
-    WHOLE_BYTES,
-    DaqLists,
-    Event,
+from meshpoint.controller.xcp.memory import (
+    IDENTITY_ADDRESS,
+    PAGE_ADDRESS,
+    PAGE_BYTES,
+    CalibrationPages,
+    Memory,
+    Page,
 )
-from meshpoint.controller.xcp.memory import IDENTITY_ADDRESS, PAGE_ADDRESS, Memory
-from meshpoint.controller.xcp.parameters import PAGE_BYTES, CalibrationPages, Page
 from meshpoint.controller.xcp.protocol import (
     CLASSIC_BYTES,
     FD_BYTES,
+    MODE_STAMPED,
     NEGATIVE,
     PACKETS_A_STEP,
     POSITIVE,
+    PROPERTIES,
+    STAMP_MODE,
     VERSION,
+    WHOLE_BYTES,
     Command,
+    DaqLists,
+    Event,
     RefusedError,
     XcpError,
 )

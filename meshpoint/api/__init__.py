@@ -8,7 +8,7 @@ from meshpoint.api.runs import Campaign, Replay, Simulation, campaign, replay, s
 from meshpoint.api.watching import ShiftError
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.logs.reader import LogError
-from meshpoint.controller.plan.strategies.base import EngagementStrategy, ReleasePlan
+from meshpoint.controller.plan.strategy import EngagementStrategy, ReleasePlan
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.dbc import messages

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from meshpoint.controller.plan.strategies.own import read_strategy
+from meshpoint.controller.plan.own_strategy import read_strategy
 from meshpoint.controller.settings.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,

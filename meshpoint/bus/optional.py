@@ -52,7 +52,7 @@ def classic_rig(core: Core, sheet: GearboxSheet, *, has_board: bool = False) -> 
 
 
 def classic_signs() -> Mapping[int, Callable[[Frame], object]]:
-    """The frames by which a controller on such a bus is known, as `controller/run/only_one.py` has
+    """The frames by which a controller on such a bus is known, as `controller/run/node.py` has
     them."""
     from meshpoint.dbc.classic.codecs import ClassicEar
 

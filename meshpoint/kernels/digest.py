@@ -108,6 +108,8 @@ class _Digest:
         if _is_foreign(function):
             self._put(f"{function.__module__}.{function.__qualname__};")
             return
+        # What is kept of a kernel imports the modules of its pieces by their names.
+        self._put(f"{function.__module__} ")
         if not self._is_by_source(function.__module__):
             self._feed(function.__code__)
         self._feed(function.__defaults__ or ())

@@ -9,9 +9,8 @@ from typing import Any
 
 from meshpoint.bus.core import Core, Step
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.settings.header import RunHeader, new_header
+from meshpoint.controller.settings.header import RunHeader, XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -162,7 +161,7 @@ class Loop:
 
     def watch_guard(self) -> list[tuple[int, Any]]:
         """What the guard sees in each step from now on, and when."""
-        view, seen = self.core._guard_view, list[tuple[int, Any]]()
+        view, seen = self.core._guarded._view, list[tuple[int, Any]]()
         take = view.take
 
         def noted(*given: Any) -> Any:

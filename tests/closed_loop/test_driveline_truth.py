@@ -48,7 +48,7 @@ class MadCore(ControllerCore):
         self.wish = wish
         self.mad_us: int | None = None
         self.rows: set[int] = set()
-        guard, driveline = self._guard, self._driveline_guard
+        guard, driveline = self._guarded.guard, self._guarded.driveline
         for judge, name in (
             (guard, "passes"),
             (driveline, "passes_clutch"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise, RigFault

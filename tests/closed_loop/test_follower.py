@@ -8,8 +8,8 @@ from typing import Any
 from loop_bench import Loop, Tapped
 
 from meshpoint.bus.core import Step
+from meshpoint.controller.core.carry_over import Follower
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.core.follower import Follower
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerStatus, ReferenceSource

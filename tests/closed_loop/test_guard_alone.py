@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.measure.edge_speed import EdgeSpeed, Speed
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
+from meshpoint.controller.measure.inputs import EdgeSpeed, Speed
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver

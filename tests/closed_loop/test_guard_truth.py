@@ -55,14 +55,14 @@ class MadCore(ControllerCore):
         self.is_mad = False
         self.rows: list[int] = []
         self.truth: Any = None
-        self._passes = self._guard.passes
+        self._passes = self._guarded.guard.passes
         self._is_guarded = guarded
-        self._guard.passes = self._watched  # type: ignore[method-assign]
+        self._guarded.guard.passes = self._watched  # type: ignore[method-assign]
 
     def _watched(self, payload: bytes, seen: Any) -> bool:
         passes = self._passes(payload, seen)
-        if self.is_mad and self._guard.blocked_row is not None:
-            self.rows.append(self._guard.blocked_row)
+        if self.is_mad and self._guarded.guard.blocked_row is not None:
+            self.rows.append(self._guarded.guard.blocked_row)
         return passes or not self._is_guarded
 
     def _decide(self, requested: int | None, snapshot: StepSnapshot, events: list[str]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.measure.refused_lead import KEPT_US, MOST_TICKS, RefusedLead
+from meshpoint.controller.measure.clock import KEPT_US, MOST_TICKS, RefusedLead
 from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,

@@ -20,12 +20,7 @@ from meshpoint.bus.frames import frame_of
 from meshpoint.bus.records import Records
 from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.run import node
-from meshpoint.controller.run.outage_record import (
-    AFTER_STEPS,
-    BEFORE_STEPS,
-    OutageRecord,
-    load_outages,
-)
+from meshpoint.controller.run.kept import AFTER_STEPS, BEFORE_STEPS, OutageRecord, load_outages
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame

@@ -10,8 +10,7 @@ from typing import ClassVar
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.settings.arithmetic import arithmetic
-from meshpoint.controller.settings.header import RunHeader
+from meshpoint.controller.settings.header import RunHeader, arithmetic
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.logs.replay import LogReplay

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.plan.strategies.target_phase import TargetPhase
+from meshpoint.controller.plan.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile

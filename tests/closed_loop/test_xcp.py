@@ -11,11 +11,16 @@ import pytest
 from loop_bench import Loop
 from xcp_master import AIM, address_of, master, read, refusal, settings_of, verdict, write
 
-from meshpoint.controller.settings.header import load_header, new_header
+from meshpoint.controller.settings.header import XcpAccess, load_header, new_header
 from meshpoint.controller.settings.settings import ControllerSettings, SettingsFile
-from meshpoint.controller.settings.xcp_access import XcpAccess
-from meshpoint.controller.xcp.memory import MEASURED_ADDRESS, PAGE_ADDRESS, identity
-from meshpoint.controller.xcp.parameters import PAGE_BYTES, PARAMETERS, ROW_BYTES
+from meshpoint.controller.xcp.memory import (
+    MEASURED_ADDRESS,
+    PAGE_ADDRESS,
+    PAGE_BYTES,
+    PARAMETERS,
+    ROW_BYTES,
+    identity,
+)
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.dbc.messages import ShiftResult

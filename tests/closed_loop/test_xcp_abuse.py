@@ -13,15 +13,17 @@ from loop_bench import Loop
 from xcp_master import address_of, master, refusal, settings_of, verdict
 
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.header import XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
-from meshpoint.controller.xcp.measured import (
+from meshpoint.controller.xcp.memory import (
+    MEASURED_ADDRESS,
+    PAGE_ADDRESS,
+    PARAMETERS,
+    ROW_BYTES,
+    Parameter,
     StepFacts,
 )
-from meshpoint.controller.xcp.memory import MEASURED_ADDRESS, PAGE_ADDRESS
 from meshpoint.controller.xcp.node import XcpNode
-from meshpoint.controller.xcp.parameters import PARAMETERS, ROW_BYTES, Parameter
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet

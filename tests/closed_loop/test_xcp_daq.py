@@ -13,8 +13,9 @@ from pyxcp.daq_stim import DaqList, DaqRecorder
 from pyxcp.recorder.converter import convert_xmraw
 from xcp_master import master
 
-from meshpoint.controller.xcp.measured import (
+from meshpoint.controller.xcp.memory import (
     FIGURE_BYTES,
+    MEASURED_ADDRESS,
     MEASURED_BYTES,
     MESSAGE_BYTES,
     MESSAGES,
@@ -23,7 +24,6 @@ from meshpoint.controller.xcp.measured import (
     MeasuredMemory,
     StepFacts,
 )
-from meshpoint.controller.xcp.memory import MEASURED_ADDRESS
 from meshpoint.dbc.specs import SignalSpec
 from meshpoint.testbench.a2l.module import figures
 

@@ -22,11 +22,9 @@ from pyxcp.types import XcpResponseError
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.settings.header import new_header
+from meshpoint.controller.settings.header import XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.settings.xcp_access import XcpAccess
-from meshpoint.controller.xcp.memory import PAGE_ADDRESS
-from meshpoint.controller.xcp.parameters import PARAMETERS, ROW_BYTES
+from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet

@@ -1,6 +1,6 @@
-"""A free layshaft as the equations at the head of `controller/models/kernels.py` have it, written
-apart from the controller's kernels: many runs at once, Runge-Kutta steps of 0.1 ms, the white
-noises as kicks between the steps, and the edges that a wheel's sensor would give."""
+"""A free layshaft as the equations at the head of `controller/models/layshaft_kernels.py` have it,
+written apart from the controller's kernels: many runs at once, Runge-Kutta steps of 0.1 ms, the
+white noises as kicks between the steps, and the edges that a wheel's sensor would give."""
 
 from __future__ import annotations
 

@@ -8,17 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.estimate.phase.reference_recovery import (
-    ReferenceRecovery,
-    SavedReferences,
-)
-from meshpoint.controller.estimate.teeth import Found, WheelTeeth
-from meshpoint.controller.estimate.tooth_match import (
-    ToothPattern,
-    turned,
-)
-from meshpoint.controller.measure.sensor_count import Renumbered
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.reference_recovery import ReferenceRecovery, SavedReferences
+from meshpoint.controller.estimate.teeth import Found, ToothPattern, WheelTeeth, turned
+from meshpoint.controller.measure.wheel_edges import Renumbered
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet

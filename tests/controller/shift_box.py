@@ -14,21 +14,24 @@ from typing import Any, Final
 
 from chamber_sleeve import ChamberSleeve
 
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    first_order_law,
+    free_motion,
+)
 from meshpoint.controller.models.swing import ShaftState
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords
 from meshpoint.controller.settings.settings import READ_CYCLE_US, ControllerSettings, Timing
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.controller.shift.context import ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveBoard
-from meshpoint.controller.sleeve.law import Prior, SleeveLaw
-from meshpoint.controller.sleeve.law_record import law_record
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw, law_record
 from meshpoint.dbc.messages import (
     ClutchAction,
     FaultCode,

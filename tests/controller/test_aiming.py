@@ -21,10 +21,9 @@ from test_strategy import (
     truth,
 )
 
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.plan_kernels import OUTSIDE, OUTSIDE_S
-from meshpoint.controller.plan.strategies.target_phase import TargetPhase
+from meshpoint.controller.plan.target_phase import OUTSIDE, OUTSIDE_S, TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import Split
 

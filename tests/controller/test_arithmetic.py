@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.controller.settings.arithmetic import arithmetic, rounding
+from meshpoint.controller.settings.header import arithmetic, rounding
 
 X86_64_GLIBC = platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc"
 
 
 def rounded_with(**variables: str) -> str:
     """In a process of its own, since libraries look at these when they are loaded."""
-    code = "from meshpoint.controller.settings.arithmetic import rounding; print(rounding())"
+    code = "from meshpoint.controller.settings.header import rounding; print(rounding())"
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=os.environ | variables, capture_output=True, text=True, check=True,

@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.estimate.baseline_tracker import BaselineTracker
-from meshpoint.controller.estimate.cruise import (
+from meshpoint.controller.estimate.baselines import BaselineTracker, CruiseTracker
+from meshpoint.controller.estimate.layshaft_tracker import LayshaftModels
+from meshpoint.controller.estimate.wheel_tracker import (
     ESTIMATE_STALE_US,
     SPEED_WINDOW_US,
-    CruiseTracker,
     WindowSpeed,
 )
-from meshpoint.controller.estimate.layshaft import LayshaftModels
-from meshpoint.controller.measure.pressure_samples import NO_SAMPLES
+from meshpoint.controller.measure.gearbox_view import NO_SAMPLES
 from meshpoint.controller.measure.wheel_edges import NO_EDGES, EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.models import first_order_law, free_motion
+from meshpoint.controller.models.layshaft import BrakeInput, first_order_law, free_motion
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import Split, load_sheet

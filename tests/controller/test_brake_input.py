@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.kernels.records import Vector
 
 DELAY_US = 12_000

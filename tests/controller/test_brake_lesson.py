@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from test_brake_model import END_US, OFF_US, ON_US, OTHER, SHEET, TUNING, fresh, measured, motion_of
 
-from meshpoint.controller.estimate.crossing_tracker import CrossingTracker
-from meshpoint.controller.estimate.layshaft import LayshaftModels
-from meshpoint.controller.measure.pressure_samples import NO_SAMPLES, PressureSamples
+from meshpoint.controller.estimate.layshaft_tracker import CrossingTracker, LayshaftModels
+from meshpoint.controller.measure.gearbox_view import NO_SAMPLES, PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.learned import BrakeRecord
 from meshpoint.gearbox import Split
 

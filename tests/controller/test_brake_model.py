@@ -8,11 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimate.brake_model import LEAST_SAMPLES, PARAMETERS, BrakeModel
-from meshpoint.controller.estimate.figure import Estimate
-from meshpoint.controller.estimate.touch_and_lag import uncorrelated
-from meshpoint.controller.measure.pressure_samples import PressureSampler, PressureSamples
-from meshpoint.controller.models.models import LayshaftState, MotionModel, free_motion, predict
+from meshpoint.controller.estimate.brake_model import (
+    LEAST_SAMPLES,
+    PARAMETERS,
+    BrakeModel,
+    uncorrelated,
+)
+from meshpoint.controller.estimate.figures import Estimate
+from meshpoint.controller.measure.gearbox_view import PressureSampler, PressureSamples
+from meshpoint.controller.models.layshaft import LayshaftState, MotionModel, free_motion, predict
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import Split, load_sheet
 

@@ -12,13 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.run.calibration_keeper import CalibrationWriter
-from meshpoint.controller.settings.calibration_file import (
-    MOST_KEPT,
-    load,
-    read_file,
-    save,
-)
+from meshpoint.controller.run.kept import MOST_KEPT, CalibrationWriter, load, read_file, save
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.learned import (
     BrakeRecord,

@@ -12,9 +12,9 @@ import pytest
 from calibration_example import SHEET, TEXT, example
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.run.calibration_keeper import CalibrationKeeper, CalibrationWriter
-from meshpoint.controller.settings import calibration_file as module
-from meshpoint.controller.settings.calibration_file import load, save
+from meshpoint.controller.run import kept
+from meshpoint.controller.run.kept import CalibrationWriter, load, save
+from meshpoint.controller.run.node import CalibrationKeeper
 from meshpoint.controller.settings.learned import Calibration
 
 
@@ -133,7 +133,7 @@ def test_a_file_is_on_the_disk_before_it_takes_its_place_and_then_its_place_is(
         seen.append((whole == TEXT, path.read_text("utf-8") == "old"))
         own(handle)
 
-    monkeypatch.setattr(module, "os", SimpleNamespace(**(vars(os) | {"fsync": noted})))
+    monkeypatch.setattr(kept, "os", SimpleNamespace(**(vars(os) | {"fsync": noted})))
     save(path, example())
     assert seen == [(True, True), (False, False)]
     assert path.read_text("utf-8") == TEXT

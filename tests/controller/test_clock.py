@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.measure.sensor_clock import BACK_US, JUMP_US, WINDOW, SensorClockEstimate
+from meshpoint.controller.measure.clock import BACK_US, JUMP_US, WINDOW, SensorClockEstimate
 from meshpoint.dbc.sensor_time import HALF, unwrap, wrap
 
 TIMES = st.integers(-(1 << 40), 1 << 40)

@@ -13,7 +13,7 @@ from test_lash import a_lash
 
 from meshpoint.controller.estimate.lash import Lash, LashStart
 from meshpoint.controller.estimate.lash_cloud import LashCloud
-from meshpoint.controller.models.lash_motion import ANGLE, SPEED, VEHICLE, WAY, move
+from meshpoint.controller.models.backlash import ANGLE, SPEED, VEHICLE, WAY, move
 from meshpoint.kernels.records import Vector
 
 START = LashStart(0.0, 0.0, 60.0, 60.0)

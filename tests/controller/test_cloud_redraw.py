@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimate.cloud_resampling import drawn, resampled
-from meshpoint.controller.estimate.halton import normal
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.estimate.lash import normal
+from meshpoint.controller.estimate.lash_cloud import drawn, resampled
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,

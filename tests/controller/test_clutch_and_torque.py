@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from meshpoint.controller.measure.clutch_track import ClutchTrack
-from meshpoint.controller.shift.torque_fall import TorqueFall
+from meshpoint.controller.measure.gearbox_view import ClutchTrack
+from meshpoint.controller.shift.step_snapshot import TorqueFall
 from meshpoint.gearbox import load_sheet
 
 TRUCK12 = load_sheet("truck12")

@@ -10,7 +10,7 @@ import pytest
 
 from meshpoint.bus.core import Step
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.measure.clock_probe import FIRST_OF_A_READ
+from meshpoint.controller.measure.clock import FIRST_OF_A_READ
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings, Timing
 from meshpoint.dbc.frame import Frame

@@ -15,7 +15,7 @@ from free_layshaft import Runs, World, drive, law_array
 from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.models import LayshaftState, MotionModel, diagonal, free_motion
+from meshpoint.controller.models.layshaft import LayshaftState, MotionModel, diagonal, free_motion
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.units import US

@@ -16,14 +16,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from meshpoint.controller.estimate.crossing_filter import (
+    LAYSHAFT_FILTER,
+    MAIN_FILTER,
     NO_PRESSURES,
     CrossingFilter,
+    FilterKind,
     Pressures,
 )
-from meshpoint.controller.estimate.swing_filter import LAYSHAFT_FILTER, MAIN_FILTER, FilterKind
 from meshpoint.controller.estimate.teeth import TeethLearner
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.models import MotionModel, first_order_law
+from meshpoint.controller.models.layshaft import MotionModel, first_order_law
 from meshpoint.controller.models.swing import SwingMotion, SwingRates
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import RecordMemory, Vector

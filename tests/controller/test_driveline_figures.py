@@ -18,7 +18,7 @@ from meshpoint.controller.estimate.lash import (
     LashStart,
 )
 from meshpoint.controller.estimate.lash_cloud import MOST_OFF, correct
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,

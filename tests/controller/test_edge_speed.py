@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.measure.chain_kernels import SPAN_US, STAMPS, UNEVEN
-from meshpoint.controller.measure.edge_speed import EdgeSpeed, Turned
+from meshpoint.controller.measure.inputs import SPAN_US, STAMPS, UNEVEN, EdgeSpeed, Turned
 from meshpoint.dbc.messages import EdgesLayshaftRise
 
 TEETH = 40

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wheel import READ_US, STAMPS, Wheel
 
-from meshpoint.controller.measure.chain_kernels import FIRST_WRONG
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
+from meshpoint.controller.measure.inputs import FIRST_WRONG
 from meshpoint.controller.measure.wheel_edges import Polarity, WheelEdges
 from meshpoint.dbc.sensor_time import wrap
 

@@ -10,8 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimate.phase.gap_posterior import MEASUREMENT_SHARES, GapPosterior
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import (
+    MEASUREMENT_SHARES,
+    GapPosterior,
+    PhaseReferences,
+)
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 

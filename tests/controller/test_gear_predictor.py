@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from test_strategy import GEAR, RATIO, SHEET, learned
 
-from meshpoint.controller.estimate.phase.reference import LEARNED_SD_RAD, PhaseReferences
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import LayshaftState, MotionModel, first_order_law
+from meshpoint.controller.estimate.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    MotionModel,
+    first_order_law,
+)
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimate.halton import PRIMES, normal, scattered_twice
+from meshpoint.controller.estimate.lash import PRIMES, normal, scattered_twice
 
 COUNT = 2500
 

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from meshpoint.controller.models.linear_kernels import (
+from meshpoint.controller.models.thesis import (
     CRUISE_FILTER,
     HOLD,
     LINEAR,
@@ -259,11 +259,11 @@ RUN = """
 from meshpoint.bus.light_can import load_can
 load_can()
 import json, numpy as np
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ROWS, SPEED, STIFF, TYRE_STIFF, LashModel, move,
 )
-from meshpoint.controller.models.linear_kernels import CRUISE_FILTER, THESIS_FILTER
-from meshpoint.controller.models.linear_kernels import cruise_filter, propagate, thesis_filter
+from meshpoint.controller.models.thesis import CRUISE_FILTER, THESIS_FILTER
+from meshpoint.controller.models.thesis import cruise_filter, propagate, thesis_filter
 from meshpoint.kernels.records import RecordMemory
 rng = np.random.default_rng(11)
 times = np.cumsum(rng.uniform(300.0, 900.0, 200)).round()

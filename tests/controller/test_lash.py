@@ -13,18 +13,17 @@ from meshpoint.controller.estimate.lash import (
     SEEN_SDS,
     Lash,
     LashStart,
+    StartWatch,
     VehicleTrajectory,
 )
 from meshpoint.controller.estimate.lash_cloud import (
     LashCloud,
     spread,
 )
-from meshpoint.controller.estimate.lash_rivals import AHEAD_US, LashRivals, Prediction
-from meshpoint.controller.estimate.lash_start import StartWatch
 from meshpoint.controller.estimate.loaded_driveline import BehindState
-from meshpoint.controller.estimate.main_tracker import MainTracker
+from meshpoint.controller.estimate.main_tracker import AHEAD_US, LashRivals, MainTracker, Prediction
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,
@@ -39,10 +38,10 @@ from meshpoint.controller.models.lash_motion import (
     WAY,
     WHEELS,
     LashModel,
+    LashTrajectory,
     move,
     move_often,
 )
-from meshpoint.controller.models.lash_trajectory import LashTrajectory
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range

@@ -9,27 +9,25 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from meshpoint.controller.models.lash_motion import (
+from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
     HALF,
     HILL,
+    LEAST_SD_RAD,
+    MOST_SURE,
+    MOST_TICKS,
     ROWS,
     SPEED,
+    STEP_S,
+    STEPS,
     STIFF,
     TYRE_STIFF,
     VEHICLE,
     WAY,
     WHEELS,
-    LashModel,
-)
-from meshpoint.controller.models.lash_trajectory import (
-    LEAST_SD_RAD,
-    MOST_SURE,
-    MOST_TICKS,
-    STEP_S,
-    STEPS,
     Chance,
+    LashModel,
     LashTrajectory,
 )
 from meshpoint.kernels.records import Vector

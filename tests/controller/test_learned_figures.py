@@ -14,16 +14,15 @@ from meshpoint.controller.estimate.driveline_swing import (
     DrivelineSwing,
     EdgeRun,
 )
-from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.figures import GROWTH, Figure, learn, prior
 from meshpoint.controller.estimate.lash import Lash
-from meshpoint.controller.estimate.lash_rivals import (
+from meshpoint.controller.estimate.main_tracker import (
     EACH_US,
     LEAST_WINDOWS,
     LashRivals,
     Prediction,
 )
-from meshpoint.controller.estimate.likelihood import GROWTH, learn
-from meshpoint.controller.models.swing_kernels import RATE, STEADY, SWING, SWING_STATES
+from meshpoint.controller.models.swing import RATE, STEADY, SWING, SWING_STATES
 from meshpoint.controller.settings.learned import SwingRecord
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.estimate.brake_model import BrakeModel
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")

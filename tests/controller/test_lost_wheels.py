@@ -10,8 +10,8 @@ import pytest
 from wheel import capture
 
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.measure.inputs import StepInputs
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     EdgesLayshaftFall,

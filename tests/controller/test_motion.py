@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
     LayshaftState,
     MotionModel,
     Ticks,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
     Disturbance,
     LayshaftState,
     MotionModel,

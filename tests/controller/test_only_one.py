@@ -8,7 +8,7 @@ import pytest
 
 from meshpoint.bus.core import Step
 from meshpoint.bus.optional import classic_signs
-from meshpoint.controller.run.only_one import BESIDE, LISTEN_US, NEWCOMER, OnlyController
+from meshpoint.controller.run.node import BESIDE, LISTEN_US, NEWCOMER, OnlyController
 from meshpoint.dbc.classic.codecs import ClassicSender
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter

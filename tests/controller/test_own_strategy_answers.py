@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.plan.strategies.base import ReleasePlan
-from meshpoint.controller.plan.strategies.own import OwnStrategy
+from meshpoint.controller.plan.own_strategy import OwnStrategy
+from meshpoint.controller.plan.strategy import ReleasePlan
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import StrategyError, StrategyFile
 from meshpoint.gearbox import load_sheet

@@ -8,17 +8,9 @@ import normal_law
 import numpy as np
 import pytest
 
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import MotionModel, first_order_law
-from meshpoint.controller.plan.plan_kernels import (
-    CONTACT_SERIES,
-    MEETING,
-    TERMS,
-    best_trajectory,
-    cheapest,
-    trajectories,
-    trajectory,
-)
+from meshpoint.controller.models.layshaft import BrakeInput, MotionModel, first_order_law
+from meshpoint.controller.plan.gear_predictor import MEETING, trajectories, trajectory
+from meshpoint.controller.plan.target_phase import CONTACT_SERIES, TERMS, best_trajectory, cheapest
 from meshpoint.kernels.records import Vector, filled
 
 PITCH, HALF, TARGET = 0.13, 0.02, 0.004

@@ -21,10 +21,10 @@ from test_strategy import (
     predictor_at,
 )
 
-from meshpoint.controller.models.brake_input import BrakeInput
+from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.strategies.base import LATEST_RELEASE_US, ReleasePlan
-from meshpoint.controller.plan.strategies.table import make_strategy
+from meshpoint.controller.plan.strategist import make_strategy
+from meshpoint.controller.plan.strategy import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.units import RPM
 

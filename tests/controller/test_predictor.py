@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshpoint.controller.models.linear import (
+from meshpoint.controller.models.thesis import (
     LayshaftState,
     layshaft_model,
     predict_euler,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.measure.pressure_samples import PressureSampler, together
+from meshpoint.controller.measure.gearbox_view import PressureSampler, together
 
 TICK_US = 10_000
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.measure.pressure_zero import PressureZero
+from meshpoint.controller.measure.gearbox_view import PressureZero
 
 TAU_S, OFFSET_PA, TICK_US = 0.045, 0.3e5, 10_000
 

@@ -14,10 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recall_bench import THESIS, TIED, TRUCK12, WHOLE, Bench
 
-from meshpoint.controller.estimate.phase.turn_candidates import turn_candidates
-from meshpoint.controller.estimate.tooth_match import (
-    ToothPattern,
-)
+from meshpoint.controller.estimate.reference import turn_candidates
+from meshpoint.controller.estimate.teeth import ToothPattern
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS

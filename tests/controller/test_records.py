@@ -86,13 +86,13 @@ load_can()
 import json, sys, numpy as np
 from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.measure.gate_kernels import gate_edges
-from meshpoint.controller.measure.gate_layout import new_gate, teeth_of
+from meshpoint.controller.measure.gate import new_gate, teeth_of
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER
 from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates
-from meshpoint.controller.models.models import diagonal, first_order_law, following_motion
-from meshpoint.controller.plan.plan_kernels import CONTACT_SERIES, MEETING, TERMS
-from meshpoint.controller.plan.plan_kernels import cheapest, trajectory
+from meshpoint.controller.models.layshaft import diagonal, first_order_law, following_motion
+from meshpoint.controller.plan.target_phase import CONTACT_SERIES, MEETING, TERMS
+from meshpoint.controller.plan.target_phase import cheapest, trajectory
 from meshpoint.kernels.records import filled
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.controller.estimate.teeth import WheelTeeth

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimate.phase.locked_gear import LockedGear
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.reference_recovery import LockedGear
+from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import MainGear, load_sheet

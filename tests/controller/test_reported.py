@@ -11,26 +11,25 @@ from typing import Any
 import pytest
 from test_shift_states import UP, aimed
 
-from meshpoint.controller.core.log_lines import decision_line
-from meshpoint.controller.core.messages import (
+from meshpoint.controller.core.reporter import (
     ANGLE_SD_TOP,
     angle,
     clip,
+    decision_line,
     estimates,
     etc1,
     etc2,
     outcome,
     prediction,
 )
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.models.models import Disturbance, LayshaftState
+from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.models.layshaft import Disturbance, LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan
 from meshpoint.controller.settings.settings import ValveTiming
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.controller.shift.context import OFF_HELD_US, ValveBoard
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard
 from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.shift.ringing import DrivelineRings
+from meshpoint.controller.shift.step_snapshot import DrivelineRings
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, load_sheet
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.core.log_lines import decision_line, outcome_line
+from meshpoint.controller.core.reporter import decision_line, outcome_line
 from meshpoint.controller.plan.strategist import Plan
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.messages import ShiftDecision, ShiftResult, Strategy

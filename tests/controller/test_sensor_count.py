@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wheel import READ_US, capture
 
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
-from meshpoint.controller.measure.sensor_count import SLACK, SensorCount
-from meshpoint.controller.measure.wheel_edges import WheelEdges
+from meshpoint.controller.measure.clock import SensorClockEstimate
+from meshpoint.controller.measure.wheel_edges import SLACK, SensorCount, WheelEdges
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 
 TEETH, DUTY, START_US = 45, 0.5, 1 << 20

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from test_reported import SHEET, edge_frame
 
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
 from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,

@@ -24,9 +24,9 @@ from shift_box import (
     aimed,
 )
 
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.controller.shift.to_neutral import CLEAR_M
+from meshpoint.controller.shift.disengage import CLEAR_M
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear

@@ -24,7 +24,7 @@ from shift_box import (
 )
 
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.settings import READ_CYCLE_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult

@@ -26,7 +26,7 @@ from shift_box import (
     aimed,
 )
 
-from meshpoint.controller.plan.strategies.base import BUS_US
+from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord

@@ -24,8 +24,8 @@ from meshpoint.controller.sleeve.cylinder import (
     TO_TURN,
     VENT,
 )
+from meshpoint.controller.sleeve.driven import Start, Switch, follow
 from meshpoint.controller.sleeve.law import SleeveLaw
-from meshpoint.controller.sleeve.motion import Start, Switch, follow
 from meshpoint.gearbox import load_sheet
 
 Vector = NDArray[np.float64]

@@ -11,10 +11,9 @@ from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecord
 from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE
 from meshpoint.controller.sleeve.cylinder import FRICTION
 from meshpoint.controller.sleeve.driven import DrivenSleeve
-from meshpoint.controller.sleeve.law import Prior, SleeveLaw
-from meshpoint.controller.sleeve.law_record import law_record
+from meshpoint.controller.sleeve.law import Prior, SleeveLaw, law_record
 from meshpoint.controller.sleeve.sleeves import SURE_SDS, Sleeves
-from meshpoint.controller.sleeve.to_rest import pulse_of, pulse_to_neutral_us, rests_at_m
+from meshpoint.controller.sleeve.stroke import pulse_of, pulse_to_neutral_us, rests_at_m
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import MainGear, Sleeve, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN

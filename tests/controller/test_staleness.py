@@ -10,15 +10,14 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.estimate.cruise import ESTIMATE_STALE_US, CruiseTracker
+from meshpoint.controller.estimate.baselines import CruiseTracker
 from meshpoint.controller.estimate.main_tracker import MainTracker
+from meshpoint.controller.estimate.wheel_tracker import ESTIMATE_STALE_US
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
 from meshpoint.controller.guard.own_speed import NO_FRAME_US
 from meshpoint.controller.guard.view import GUARD_FRESH_US, GuardInputs, GuardView
-from meshpoint.controller.measure.edge_speed import SPEED_STALE_US
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.inputs import SPEED_STALE_US, ShaftSpeeds, StepInputs
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.measure.step_timing import LONGER_US, MOST_MOVED_US, StepTiming
+from meshpoint.controller.measure.clock import LONGER_US, MOST_MOVED_US, StepTiming
+from meshpoint.controller.measure.inputs import StepInputs
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import EdgesInputRise

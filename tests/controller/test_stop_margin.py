@@ -8,10 +8,9 @@ import pytest
 from drawn_sleeve import FACE, Cylinder, DrawnSleeve
 
 from meshpoint.controller.sleeve.cylinder import LAW, OFF, ON, PARAMETERS
-from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
+from meshpoint.controller.sleeve.driven import DrivenSleeve, Switch, valve_towards
 from meshpoint.controller.sleeve.law import Prior, SleeveLaw
-from meshpoint.controller.sleeve.motion import Switch
-from meshpoint.controller.sleeve.stopping import latest_abort_us
+from meshpoint.controller.sleeve.stroke import latest_abort_us
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")

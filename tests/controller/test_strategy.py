@@ -12,14 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import layshaft_model
-from meshpoint.controller.models.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
+    LayshaftState,
+    first_order_law,
+    free_motion,
+)
 from meshpoint.controller.models.swing import ShaftState
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.plan.gear_predictor import GearPredictor, LastMeasurement
-from meshpoint.controller.plan.strategies.table import STRATEGIES, make_strategy
-from meshpoint.controller.plan.strategist import Plan, Strategist
+from meshpoint.controller.plan.strategist import STRATEGIES, Plan, Strategist, make_strategy
 from meshpoint.controller.settings.settings import (
     STRATEGY_NAMES,
     Aim,
@@ -114,7 +117,7 @@ def planned(
 def test_every_strategy_that_the_bus_can_name_has_its_file() -> None:
     assert set(STRATEGIES) == set(STRATEGY_NAMES)
     for name, made in STRATEGIES.items():
-        assert made.__module__ == f"meshpoint.controller.plan.strategies.{name}"
+        assert made.__module__ == f"meshpoint.controller.plan.{name}"
         strategist = Strategist(SHEET, ControllerSettings(strategy_name=name))
         acting = strategist.acting(reference_known=True)
         assert type(acting) is made

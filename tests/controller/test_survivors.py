@@ -12,11 +12,11 @@ import pytest
 from test_strategy import DELAY_US, GEAR, MAIN, MOTION, RATIO, VALVE_US, learned, predictor_at
 
 from meshpoint.controller.measure.wheel_edges import WheelEdges
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.linear import LayshaftState
+from meshpoint.controller.models.layshaft import BrakeInput
+from meshpoint.controller.models.thesis import LayshaftState
 from meshpoint.controller.plan.gear_predictor import GearPredictor
-from meshpoint.controller.plan.plan_kernels import TERMS
-from meshpoint.controller.plan.strategies.table import make_strategy
+from meshpoint.controller.plan.strategist import make_strategy
+from meshpoint.controller.plan.target_phase import TERMS
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, EdgesMainRise, GearboxSensors

@@ -9,17 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
 from meshpoint.controller.estimate.driveline_swing import (
     DrivelineSwing,
     MainWindow,
 )
-from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.figures import Figure, prior
 from meshpoint.controller.estimate.lash import Lash
-from meshpoint.controller.estimate.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.models.swing import ShaftState, Swing, SwingMotion, SwingRates
-from meshpoint.controller.models.swing_kernels import SWING_STATES
+from meshpoint.controller.models.swing import (
+    SWING_STATES,
+    ShaftState,
+    Swing,
+    SwingMotion,
+    SwingRates,
+)
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import Vector

@@ -8,8 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimate.teeth import LEAST_SD_RAD, UNLIKE_MODEL, WheelTeeth
-from meshpoint.controller.estimate.tooth_match import PatternEquations, ToothPattern, turned
+from meshpoint.controller.estimate.teeth import (
+    LEAST_SD_RAD,
+    UNLIKE_MODEL,
+    PatternEquations,
+    ToothPattern,
+    WheelTeeth,
+    turned,
+)
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Vector

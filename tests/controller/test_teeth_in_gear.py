@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.estimate.teeth_in_gear import (
-    ACCELERATION,
-    EDGE_TIME,
-    TURNS,
-    TeethInGear,
-)
+from meshpoint.controller.estimate.wheel_tracker import ACCELERATION, EDGE_TIME, TURNS, TeethInGear
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.settings.settings import ControllerSettings, CrossingFilterTuning
 from meshpoint.gearbox import load_sheet

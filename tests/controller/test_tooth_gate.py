@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import pytest
 from wheel import Wheel
 
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 
 TEETH, TOOTH_US, DUTY = 45, 1000, 0.5

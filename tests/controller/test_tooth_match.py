@@ -9,12 +9,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimate.tooth_match import (
-    PatternEquations,
-    ToothPattern,
-    compare,
-    turned,
-)
+from meshpoint.controller.estimate.teeth import PatternEquations, ToothPattern, compare, turned
 from meshpoint.units import DEG
 
 TURN = 2.0 * math.pi

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from meshpoint.controller.shift.unloading import unload
+from meshpoint.controller.shift.engine import unload
 
 DECAY_S = 0.1
 LEFT_NM = 2_730.0

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimate.touch_and_lag import (
+from meshpoint.controller.estimate.brake_model import (
     CAUTION,
     DRIFT_SD,
     MOST_ROUNDS,
     MOST_STEP,
-    PROBE,
+    TOUCH_PROBE,
     best_of,
     uncorrelated,
 )
@@ -42,7 +42,7 @@ def test_a_paraboloid_and_what_was_known_have_the_minimum_of_their_sum(
 ) -> None:
     """Bayes' rule for normal laws; the deviance's information is divided by the square of
     caution."""
-    scale = np.sqrt(sharp) / PROBE
+    scale = np.sqrt(sharp) / TOUCH_PROBE
     curvature = np.outer(scale, scale) * [[1.0, tilt], [tilt, 1.0]]
     middle = np.array([touch_pa, lag_s])
     found = best_of(bowl(middle, curvature), FIRST)
@@ -71,13 +71,13 @@ def test_along_a_valley_nothing_is_learned_and_both_figures_stay_tied() -> None:
 
 def test_a_lag_that_is_known_for_certain_stays_and_the_touch_is_still_reported() -> None:
     known = uncorrelated((0.2e5, 0.15e5), (0.0, 0.0))
-    found = best_of(bowl(np.array([0.3e5, 3e-3]), np.diag(400.0 / PROBE**2)), known)
+    found = best_of(bowl(np.array([0.3e5, 3e-3]), np.diag(400.0 / TOUCH_PROBE**2)), known)
     assert (found.mean[1], found.sd[1]) == (0.0, 0.0)
     assert found.mean[0] == pytest.approx(0.3e5, rel=0.02)
 
 
 def test_a_saddle_tells_nothing_along_its_fall() -> None:
-    curvature = np.diag([100.0, -100.0] / PROBE**2)
+    curvature = np.diag([100.0, -100.0] / TOUCH_PROBE**2)
     found = best_of(bowl(np.array([0.3e5, 2e-3]), curvature), FIRST)
     assert found.sd[1] == pytest.approx(np.hypot(3e-3, DRIFT_SD[1]))
     assert found.sd[0] < 0.05e5
@@ -85,7 +85,7 @@ def test_a_saddle_tells_nothing_along_its_fall() -> None:
 
 def test_a_minimum_far_off_is_gone_towards_and_not_believed() -> None:
     far = np.array([0.2e5, 19e-3])
-    found = best_of(bowl(far, np.diag(1e4 / PROBE**2)), FIRST)
+    found = best_of(bowl(far, np.diag(1e4 / TOUCH_PROBE**2)), FIRST)
     assert 2e-3 < found.mean[1] <= 2e-3 + MOST_ROUNDS * MOST_STEP[1] + 1e-9
     assert found.sd[1] > 3e-3
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.estimate.phase.turn_candidates import (
+from meshpoint.controller.estimate.reference import (
     TurnSet,
     all_turns,
     any_one,

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from shift_box import SHEET, Box
 
-from meshpoint.controller.measure.clutch_track import ClutchTrack
+from meshpoint.controller.measure.gearbox_view import ClutchTrack
 from meshpoint.controller.settings.valve_name import ValveName
 
 TRAVEL_US = 100_000

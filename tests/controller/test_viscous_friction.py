@@ -13,13 +13,13 @@ from free_layshaft import Runs, World, drive, law_array
 
 from meshpoint.controller.estimate.brake_model import BrakeModel
 from meshpoint.controller.estimate.crossing_filter import Pressures
-from meshpoint.controller.estimate.figure import Figure, prior
+from meshpoint.controller.estimate.figures import Figure, prior
 from meshpoint.controller.estimate.free_run import FreeMotion, FreeRun
 from meshpoint.controller.estimate.teeth import WheelTeeth
-from meshpoint.controller.measure.pressure_samples import PressureSamples
+from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.models.kernels import DRAG
-from meshpoint.controller.models.models import diagonal, free_motion
+from meshpoint.controller.models.layshaft import diagonal, free_motion
+from meshpoint.controller.models.layshaft_kernels import DRAG
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.kernels.records import Vector

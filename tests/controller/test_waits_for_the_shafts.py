@@ -9,7 +9,7 @@ import pytest
 from shift_box import TICK_US, Box, aimed
 
 from meshpoint.controller.settings.settings import ControllerSettings, EngineRequests
-from meshpoint.controller.shift.torque_ramp import KNOWN_MS
+from meshpoint.controller.shift.engine import KNOWN_MS
 
 FOR_EVER = 10_000_000
 

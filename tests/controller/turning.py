@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from wheel import READ_US, capture
 
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 

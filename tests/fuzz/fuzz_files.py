@@ -28,7 +28,7 @@ from meshpoint.bus.authentication.frames import AUTHENTICATION_DBC
 from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.pace import PaceError, PaceFile
-from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.header import HeaderError, header_name, load_header, new_header
 from meshpoint.controller.settings.settings import ControllerSettings, load_settings_file
 from meshpoint.dbc.schema import SchemaError, parse_schema

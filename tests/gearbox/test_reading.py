@@ -14,7 +14,7 @@ from benchmarks.studies.settings import load_study_settings
 from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.options import add_bus_arguments, bus_config
-from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.header import header_name, load_header
 from meshpoint.controller.settings.settings import load_settings
 from meshpoint.controller.settings.strategy_file import read_source

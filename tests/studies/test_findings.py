@@ -19,7 +19,7 @@ from benchmarks.studies.record import Finding, Given, Statement, ThesisVerdict
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
 from benchmarks.studies.validation import Compared, time_constant_s
-from meshpoint.controller.models.linear import LayshaftState, predict_linear
+from meshpoint.controller.models.thesis import LayshaftState, predict_linear
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("thesis")

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.memory import PAGE_ADDRESS, identity
-from meshpoint.controller.xcp.parameters import PARAMETERS, ROW_BYTES
+from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES, identity
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.a2l.module import a2l
 from meshpoint.testbench.cli import main

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from meshpoint.bus.logs.reader import read_log
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EdgesLayshaftFall, EdgesLayshaftRise

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from meshpoint.controller.plan.strategies.table import STRATEGIES
+from meshpoint.controller.plan.strategist import STRATEGIES
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset

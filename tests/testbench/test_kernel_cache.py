@@ -253,8 +253,8 @@ kernel = of(1.0)
 """
 
 
-def digest(source: str) -> str:
-    module = types.ModuleType("made")
+def digest(source: str, module_name: str = "made") -> str:
+    module = types.ModuleType(module_name)
     exec(source, module.__dict__)
     return digest_of(module.kernel.py_func)
 
@@ -273,6 +273,11 @@ def digest(source: str) -> str:
 def test_every_change_behind_a_kernel_is_another_entry(before: str, after: str) -> None:
     assert before in SOURCE
     assert digest(SOURCE.replace(before, after)) != digest(SOURCE)
+
+
+def test_a_piece_that_moved_to_another_file_is_another_entry() -> None:
+    """Machine code names the modules of its pieces, and they are imported when it is loaded."""
+    assert digest(SOURCE, "renamed") != digest(SOURCE)
 
 
 def test_what_a_kernel_does_not_use_is_no_other_entry() -> None:

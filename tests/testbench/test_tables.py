@@ -24,7 +24,7 @@ from benchmarks.studies.registry import STUDY_NAMES, load
 from benchmarks.studies.runner import StudyRecord
 from benchmarks.swarm.command import reached_table
 from benchmarks.swarm.swarm import Swarm
-from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA

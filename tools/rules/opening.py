@@ -26,7 +26,7 @@ EXCEPTIONS = {
     "meshpoint/testbench/help/reference.py": "pages of this repository",
     "meshpoint/testbench/loop/node_patience.py": "the kernel's own files",
     "meshpoint/testbench/report/html.py": "a file of the package",
-    "controller/settings/calibration_file.py": "a folder, to bring a rename to disk; a new file",
+    "controller/run/kept.py": "a folder, to bring a rename to disk; a new file",
     "dbc/classic/codecs.py": "a file of the package",
     "dbc/made.py": "files of the package",
     "dbc/source.py": "a file of the package",

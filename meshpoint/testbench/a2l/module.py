@@ -11,22 +11,22 @@ from typing import Any, Final
 
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import SettingsFile
-from meshpoint.controller.xcp.measured import (
+from meshpoint.controller.xcp.memory import (
     FIGURE_BYTES,
+    IDENTITY_ADDRESS,
     LEARNED,
+    MEASURED_ADDRESS,
     MESSAGE_BYTES,
     MESSAGES,
+    PAGE_ADDRESS,
+    PAGE_BYTES,
+    PARAMETERS,
+    ROW_BYTES,
     SENT_BYTES,
     SLEEVES,
     LearnedFigure,
-)
-from meshpoint.controller.xcp.memory import (
-    IDENTITY_ADDRESS,
-    MEASURED_ADDRESS,
-    PAGE_ADDRESS,
     identity,
 )
-from meshpoint.controller.xcp.parameters import PAGE_BYTES, PARAMETERS, ROW_BYTES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.specs import SignalSpec
 from meshpoint.gearbox.keys import field_docs, groups_of, unit_of

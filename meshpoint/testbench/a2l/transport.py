@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from meshpoint.controller.settings.settings import Timing
-from meshpoint.controller.xcp.daq import Event
-from meshpoint.controller.xcp.parameters import PAGE_BYTES, Page
-from meshpoint.controller.xcp.protocol import FD_BYTES, VERSION, Command
+from meshpoint.controller.xcp.memory import PAGE_BYTES, Page
+from meshpoint.controller.xcp.protocol import FD_BYTES, VERSION, Command, Event
 from meshpoint.controller.xcp.slave import EVENT_NAMES, MOST_OF_A_BLOCK
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.testbench.a2l.blocks import block, hexadecimal

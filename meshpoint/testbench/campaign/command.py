@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from meshpoint.bus import given_numbers
-from meshpoint.controller.plan.strategies.table import make_strategy
+from meshpoint.controller.plan.strategist import make_strategy
 from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.controller.settings.strategy_file import FORM, StrategyFile
 from meshpoint.rig_sim.settings import Preset

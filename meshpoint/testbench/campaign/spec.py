@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.plan.strategies.table import AIMING
+from meshpoint.controller.plan.strategist import AIMING
 from meshpoint.controller.settings.settings import STRATEGY_NAMES, ControllerSettings
 from meshpoint.controller.settings.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.estimate.phase.reference import PhaseReferences
-from meshpoint.controller.models.models import LayshaftState, first_order_law
+from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.models.layshaft import LayshaftState, first_order_law
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.gear_predictor import GearPredictor, Trajectory
 from meshpoint.gearbox import GearboxSheet, MainGear

@@ -14,6 +14,7 @@ from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.reader import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus
 from meshpoint.bus.profile import WireProfile
+from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,
@@ -22,7 +23,6 @@ from meshpoint.controller.settings.settings import (
     load_settings_file,
 )
 from meshpoint.controller.settings.strategy_file import FORM, StrategyFile, is_file_name
-from meshpoint.controller.settings.xcp_access import XcpAccess
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
@@ -33,7 +33,7 @@ from meshpoint.testbench.loop.schedules import SCHEDULES, UPSHIFTS, Pairs, check
 from meshpoint.testbench.results.output import folder_for
 
 if TYPE_CHECKING:
-    from meshpoint.controller.run.calibration_keeper import CalibrationWriter
+    from meshpoint.controller.run.kept import CalibrationWriter
     from meshpoint.controller.settings.learned import Calibration
     from meshpoint.rig_sim.truck.as_built import AsBuiltChoice
 
@@ -81,7 +81,7 @@ def strategy_file(name: str) -> StrategyFile | None:
     it cannot be used."""
     if not is_file_name(name):
         return None
-    from meshpoint.controller.plan.strategies.own import read_strategy
+    from meshpoint.controller.plan.own_strategy import read_strategy
 
     return read_strategy(name)
 
@@ -415,8 +415,7 @@ def calibration_of(
     if path.is_dir():
         raise CommandError(f"{path}: is a folder, allowed is a file")
     folder_for(path.parent)
-    from meshpoint.controller.run.calibration_keeper import CalibrationWriter
-    from meshpoint.controller.settings.calibration_file import load
+    from meshpoint.controller.run.kept import CalibrationWriter, load
 
     loaded = load(path, sheet)
     tell(loaded.line)

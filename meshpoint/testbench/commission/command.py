@@ -20,8 +20,8 @@ from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_on_signals
+from meshpoint.controller.run.kept import save
 from meshpoint.controller.run.node import ADDRESSES
-from meshpoint.controller.settings.calibration_file import save
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE

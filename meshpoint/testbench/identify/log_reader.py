@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
-from meshpoint.controller.measure.step_inputs import StepInputs
+from meshpoint.controller.measure.inputs import StepInputs
 from meshpoint.controller.measure.wheel_edges import EdgeBatch, WheelEdges
 from meshpoint.controller.settings.valve_name import SLEEVE_VALVE
 from meshpoint.controller.sleeve.sleeves import Sleeves

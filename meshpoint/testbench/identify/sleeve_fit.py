@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshpoint.controller.sleeve.contact_chance import FAR_S
+from meshpoint.controller.sleeve.stroke import FAR_S
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.testbench.identify.log_reader import LogContent

@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from meshpoint.controller.estimate.figure import Estimate
-from meshpoint.controller.sleeve.law_figures import LawFigures
+from meshpoint.controller.estimate.figures import Estimate
 from meshpoint.controller.sleeve.sleeves import Sleeves
+from meshpoint.controller.sleeve.stroke import LawFigures
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
 from meshpoint.testbench.identify.identified import Figure, Identified, untold

@@ -139,8 +139,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
-    from meshpoint.controller.run.node import run_controller
-    from meshpoint.controller.run.only_one import OtherControllerError
+    from meshpoint.controller.run.node import OtherControllerError, run_controller
 
     if namespace.shadow:
         return run_shadow(namespace)

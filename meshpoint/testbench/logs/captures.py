@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.measure.chain_kernels import STAMPS
-from meshpoint.controller.measure.sensor_clock import SensorClockEstimate
+from meshpoint.controller.measure.clock import SensorClockEstimate
+from meshpoint.controller.measure.inputs import STAMPS
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.sensor_time import wrap
 from meshpoint.kernels.records import Integers
@@ -34,7 +34,7 @@ CAPTURE_DUTY_SHARE: Final = 0.5
 
 class ReadFrame(NamedTuple):
     """What a capture unit sends of one polarity at a read
-    (meshpoint.controller.measure.wheel_edges.EdgeFrame)."""
+    (meshpoint.controller.measure.inputs.EdgeFrame)."""
 
     read_time_us: int
     newest_index: int

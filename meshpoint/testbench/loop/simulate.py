@@ -13,7 +13,8 @@ from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.run.calibration_keeper import CalibrationKeeper, Keep
+from meshpoint.controller.run.kept import Keep
+from meshpoint.controller.run.node import CalibrationKeeper
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ShiftOutcome
 from meshpoint.gearbox import GearboxSheet

@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.settings import ControllerSettings, load_settings
 from meshpoint.controller.settings.strategy_file import StrategyFile

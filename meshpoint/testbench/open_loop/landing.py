@@ -20,12 +20,11 @@ from typing import Final, cast
 import numpy as np
 
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.estimate.brake_model import PARAMETERS, BrakeModel
-from meshpoint.controller.estimate.layshaft import LayshaftTracker
-from meshpoint.controller.estimate.touch_and_lag import uncorrelated
-from meshpoint.controller.measure.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.models.kernels import GAIN
-from meshpoint.controller.models.models import LayshaftState, MotionModel
+from meshpoint.controller.estimate.brake_model import PARAMETERS, BrakeModel, uncorrelated
+from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
+from meshpoint.controller.measure.inputs import ShaftSpeeds
+from meshpoint.controller.models.layshaft import LayshaftState, MotionModel
+from meshpoint.controller.models.layshaft_kernels import GAIN
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
@@ -64,7 +63,7 @@ TRACE_US: Final = 5_000
 LONGEST_US: Final = 700_000
 """From the parting; a model is trusted no further."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
-"""Of a reference learned in mesh, as `controller.estimate.phase.reference_recovery` has it."""
+"""Of a reference learned in mesh, as `controller.estimate.reference_recovery` has it."""
 GAIN_SD: Final = 0.01
 """Of the brake's gain between two moments of a shift, beside what the filter claims: discs warm."""
 MOST_SD_SHARE: Final = 0.125

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from meshpoint.controller.core.carry_over import Follower
 from meshpoint.controller.core.core import ControllerCore
-from meshpoint.controller.core.follower import Follower
 from meshpoint.controller.estimate.brake_model import BrakeModel
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.settings import ControllerSettings

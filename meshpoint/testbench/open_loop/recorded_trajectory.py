@@ -13,8 +13,8 @@ from bisect import bisect_left, bisect_right
 from typing import Final, NamedTuple
 
 from meshpoint.controller.estimate.brake_model import BrakeModel
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import (
+from meshpoint.controller.models.layshaft import (
+    BrakeInput,
     LayshaftState,
     MotionModel,
     predict,

@@ -12,9 +12,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from meshpoint.controller.estimate.observer import Observer
-from meshpoint.controller.measure.step_inputs import StepInputs
-from meshpoint.controller.models.brake_input import BrakeInput
-from meshpoint.controller.models.models import LayshaftState
+from meshpoint.controller.measure.inputs import StepInputs
+from meshpoint.controller.models.layshaft import BrakeInput, LayshaftState
 from meshpoint.controller.settings.settings import ESTIMATOR_NAMES, ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.plan.strategies.table import AIMING
+from meshpoint.controller.plan.strategist import AIMING
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import is_file_name
 from meshpoint.dbc.messages import (

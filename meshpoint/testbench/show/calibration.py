@@ -9,9 +9,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from meshpoint.controller.settings.calibration_file import read_file
+from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.learned import BrakeRecord, Calibration, WheelRecord
-from meshpoint.controller.sleeve.contact_chance import PRIOR_SAMPLES
+from meshpoint.controller.sleeve.stroke import PRIOR_SAMPLES
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.tables import to_table

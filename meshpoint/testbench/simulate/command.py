@@ -14,7 +14,7 @@ from meshpoint.bus import given_numbers
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.silkit.library import REGISTRY
 from meshpoint.bus.simulated.core import QueueOrder
-from meshpoint.controller.run.calibration_keeper import CalibrationWriter, Keep
+from meshpoint.controller.run.kept import CalibrationWriter, Keep
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from meshpoint.controller.xcp.memory import PAGE_ADDRESS
-from meshpoint.controller.xcp.parameters import PAGE_BYTES, PARAMETERS, ROW_BYTES, Page
+from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PAGE_BYTES, PARAMETERS, ROW_BYTES, Page
 from meshpoint.controller.xcp.protocol import NEGATIVE, POSITIVE, Command
 from meshpoint.controller.xcp.slave import USED_BY_CONTROLLER
 from meshpoint.dbc.frame import Frame

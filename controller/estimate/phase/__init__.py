@@ -1,1 +1,0 @@
-"""The angle between gear teeth and sleeve teeth: learned, lost, recovered."""
