@@ -27,7 +27,7 @@ HELD_US: Final = 45_000
 SLOWEST_RAD_S: Final = 5.0
 """A wheel that turns more slowly may only rock about one of its edges."""
 READS_KEPT: Final = 4
-"""Of so many reads it is kept how many teeth had passed."""
+"""The teeth that had passed are kept for this number of reads."""
 LOW: Final = 0xFFFF
 
 
