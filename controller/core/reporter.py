@@ -59,7 +59,7 @@ LINES: Final = {
     ShiftDecision.COMMITTED: "fired, contact in {contact:.1f} ms: {where}",
 }
 
-ETC2_EVERY: Final = 10
+ETC2_CYCLE_US: Final = 100_000
 LATENESS_TOP_US: Final = 65_535
 COUNTER_MASK: Final = 0xFFFF
 WORD: Final = 0xFFFF_FFFF
@@ -227,6 +227,8 @@ class Reporter:
         self._observer = observer
         self._sequence = sequence
         self._steps = 0
+        self._etc2_every = max(1, ETC2_CYCLE_US // header.settings.timing.tick_us)
+        """Steps from one that says it to the next."""
         self._gear = -1
         self._previous = (0, 0, 0)
 
@@ -241,7 +243,7 @@ class Reporter:
         self._gear = current = self._gear_number()
         frames = transmitter.unread(ControllerEstimates, ETC1)
         messages = [] if frames is not None else self._shafts()
-        if self._steps % ETC2_EVERY == 0:
+        if self._steps % self._etc2_every == 0:
             target = sequence.target
             messages.append(etc2(sheet, current, target.number if target else max(current, 0)))
         shift = sequence.shift or sequence.finished

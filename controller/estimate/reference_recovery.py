@@ -53,9 +53,9 @@ _WHY: Final = {
     ReferenceSource.NARROWED: "by the gears in mesh",
 }
 
-LEAST_MEASUREMENTS: Final = 20
-"""Before it has been looked at for 0.2 s, nothing is concluded of a gear that stays in mesh: its
-tooth may still be on its way to a flank."""
+LOOKED_AT_US: Final = 185_000
+"""Before it has been looked at for so long, 0.2 s but for the time from an edge to its read,
+nothing is concluded of a gear that stays in mesh: its tooth may still be on its way to a flank."""
 
 
 class SavedReferences(NamedTuple):
@@ -346,6 +346,8 @@ class LockedGear:
         self._recovery = recovery
         self._looked_us = 0.0
         """The newest edge at the latest measurement."""
+        self._since_us = 0.0
+        """The same at the first measurement of the gear that is watched."""
 
     def is_due(self, newest_us: float) -> bool:
         """Whether there are edges since the latest measurement: a step between two reads has
@@ -362,7 +364,9 @@ class LockedGear:
         references = self._references
         references.measure(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
         watched = references.watched
-        if watched is not None and watched.measurements >= LEAST_MEASUREMENTS:
+        if watched is not None and watched.measurements == 1:
+            self._since_us = layshaft.time_us
+        if watched is not None and layshaft.time_us - self._since_us >= LOOKED_AT_US:
             self._settle(gear, events)
 
     def released(self, events: list[str]) -> None:

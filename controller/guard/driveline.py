@@ -31,9 +31,9 @@ TORQUE_OFFSET: Final = 125
 PER_CENT: Final = 0.01
 TORQUE_NOISE: Final = 1.5 * PER_CENT
 """A step of the signal, and half a one for rounding."""
-ENGINE_MEASUREMENTS: Final = 6
-"""Number of the engine's newest speeds, 10 ms apart, that give its acceleration: that of the last
-50 ms."""
+ACCELERATION_US: Final = 50_000
+"""The engine's acceleration is that of its last speeds, over so long: some reads of the sensors,
+with which its speed comes."""
 ACCELERATION_NOISE_RAD_S2: Final = 3.0
 """Error of that acceleration (rad/s2): the combustion's ripple, and what changes within that
 time."""
@@ -82,9 +82,7 @@ class DrivelineState:
     sides: tuple[int, ...] = ()
     """The end each sleeve was last seen in."""
     judged_us: int | None = None
-    engine: deque[tuple[int, float]] = field(
-        default_factory=lambda: deque(maxlen=ENGINE_MEASUREMENTS)
-    )
+    engine: deque[tuple[int, float]] = field(default_factory=deque)
     """The engine's newest speeds and when they were read; none while one is missing."""
     own_share: tuple[float, float] | None = None
     """None, and the engine's own torque when it began to be taken away, the lesser first; since the
@@ -180,12 +178,17 @@ def _takes_torque_away(case: DrivelineCase) -> bool:
     return low - TORQUE_NOISE <= case.engine.torque_share <= high + TORQUE_NOISE
 
 
+def _engine_measurements(limits: GuardLimits) -> int:
+    """How many speeds, one a step, give the engine's acceleration."""
+    return 1 + ACCELERATION_US // limits.tick_us
+
+
 def _turning_share(case: DrivelineCase) -> tuple[float, float]:
     """The least and the most torque that changes the engine's speed as it has changed of late, as a
     share of its reference torque; none where its speed is not known for long enough."""
     measurements, limits = case.state.engine, case.limits
     if (
-        len(measurements) < ENGINE_MEASUREMENTS
+        len(measurements) < _engine_measurements(limits)
         or case.seen.clutch_closed <= limits.clutch_open_share
     ):
         return 0.0, 0.0
@@ -280,6 +283,8 @@ class DrivelineGuard:
             measurements.clear()
         if seen.engine_rad_s is not None and not (measurements and pause_us == 0):
             measurements.append((seen.now_us, seen.engine_rad_s))
+        if len(measurements) > _engine_measurements(self._limits):
+            measurements.popleft()
 
     def _judge(self, rows: tuple[DrivelineRow, ...], case: DrivelineCase) -> int | None:
         for row in rows:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.listening import STAMPS, Edges
@@ -25,6 +26,8 @@ HELD_US: Final = 45_000
 """So long an earlier speed stands in for frames with a tooth missing or too many."""
 SLOWEST_RAD_S: Final = 5.0
 """A wheel that turns more slowly may only rock about one of its edges."""
+READS_KEPT: Final = 4
+"""The teeth that had passed are kept for this number of reads."""
 LOW: Final = 0xFFFF
 
 
@@ -56,14 +59,21 @@ class GuardSpeed:
         self._is_sure = False
         """The newest teeth are alike, none is missing, none too many; and the array is full, as one
         of edges that were made up from a speed never is (docs/wire.md, classic profile)."""
+        self._reads: deque[tuple[int, TeethCounted | None]] = deque(maxlen=READS_KEPT)
+        """When the sensor was read, and the teeth that had passed; None where they are not sure."""
 
     def forget(self) -> None:
         """The sensors' clock is another: nothing of before holds."""
         self._measured = self.counted = None
         self._is_sure = False
+        self._reads.clear()
 
     def take(self, edges: Edges) -> None:
         """A believed frame."""
+        self._measure(edges)
+        self._reads.append((edges.time_us, self.counted if self._is_sure else None))
+
+    def _measure(self, edges: Edges) -> None:
         self._is_sure = False
         if len(edges.lows_us) <= 1:
             self._measured = None
@@ -95,11 +105,18 @@ class GuardSpeed:
             return None
         return speed if now_us - measured_us <= max(HELD_US, limit_us) else None
 
-    def turned(self, speed: ShaftSpeed | None) -> TeethCounted | None:
-        """The teeth that have passed, where they are sure and the wheel turns at its newest
-        speed."""
-        turns = self._is_sure and speed is not None and speed.omega_rad_s >= SLOWEST_RAD_S
-        return self.counted if turns else None
+    @property
+    def read_us(self) -> int | None:
+        """When the sensor was last read; None before."""
+        return self._reads[-1][0] if self._reads else None
+
+    def turned(self, speed: ShaftSpeed | None, read_us: int | None = None) -> TeethCounted | None:
+        """The teeth that had passed at a read, or at the newest where that one was not heard, if
+        they are sure and the wheel turns at its newest speed."""
+        if speed is None or speed.omega_rad_s < SLOWEST_RAD_S or not self._reads:
+            return None
+        heard = dict(self._reads)
+        return heard.get(self._reads[-1][0] if read_us is None else read_us, self._reads[-1][1])
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:

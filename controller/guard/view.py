@@ -45,6 +45,8 @@ TURNING_RAD_S: Final = 10.0
 """Below this layshaft speed the ratios of the gears cannot be distinguished."""
 CLUTCH_GAP_US: Final = 25_000
 """Samples of the clutch further apart say nothing of its speed."""
+READ_CYCLE_US: Final = 10_000
+"""From one read of the wheels to the next."""
 NO_ENGINE: Final = Engine(None, None)
 BothCounted = tuple[TeethCounted, TeethCounted]
 """Layshaft and main shaft."""
@@ -98,6 +100,14 @@ class GuardInputs(NamedTuple):
     """How the speeds of layshaft and main shaft change and have changed; None where not known."""
     means_m_s: tuple[float, float] = (0.0, 0.0)
     """Of the two main sleeves, over all samples of a frame: with less noise, and later."""
+
+
+def _read_by_all(reads_us: list[int]) -> int | None:
+    """The newest read of which all wheels were heard. A step between the frames of a read has heard
+    some of it, and of the others the one before: counts of two reads compare only while no shaft
+    gains speed. A wheel of which a frame was lost is not waited for."""
+    newest_us = max(reads_us, default=0)
+    return min((each for each in reads_us if newest_us - each <= READ_CYCLE_US), default=None)
 
 
 class GuardView:
@@ -234,8 +244,9 @@ class GuardView:
         self, positions_m: tuple[float, ...] | None, speeds: list[ShaftSpeed | None]
     ) -> tuple[int, ...]:
         """Wheels that the others deny."""
-        counts = list(map(GuardSpeed.turned, self._shafts.values(), speeds))
-        self._wheels.take(positions_m, counts)
+        shafts = list(zip(self._shafts.values(), speeds, strict=True))
+        read_us = _read_by_all([s.read_us for s, v in shafts if v is not None and s.read_us])
+        self._wheels.take(positions_m, [shaft.turned(speed, read_us) for shaft, speed in shafts])
         return self._wheels.in_doubt
 
     def _engine_now(self, step_us: int) -> Engine:

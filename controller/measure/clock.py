@@ -13,10 +13,11 @@ and so a tick of prediction.
 
 The place of the steps: the sensor side reads once a cycle and sends its frames one after the other.
 A step just before the last of them decides by what is a cycle old, one just after it by what is as
-old as the bus is slow. A tick is as long as that cycle, so steps stay where in it they began,
-wherever that was, until they are moved. They are moved to where a read's frames are awaited no
-longer than needed: longer at once when a step came between the frames of a read, and shorter by
-little with each that did not.
+old as the bus is slow. A tick is as long as that cycle or goes into it, so steps stay where in it
+they began, wherever that was, until they are moved. They are moved to where a read's frames are
+awaited no longer than needed: longer at once when a step came between the frames of a read, and
+shorter by little with each that did not. Of several steps in a cycle, one is moved so, and the
+others with it.
 
 More lead: on a machine that is late, or a bus that is full, the least delay seen of a read is too
 large as well, so the sensor clock is thought to be further behind than it is. A refused activation
@@ -31,6 +32,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.controller.measure.inputs import StepInputs
+from meshpoint.controller.settings.settings import READ_CYCLE_US
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import EdgesInputRise, ValveStatus
@@ -63,10 +65,10 @@ once more with each. So one step in some two hundred comes too soon, and a time 
 late is forgotten within seconds."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
-MOST_SHARE: Final = 0.8
-"""A read's frames are awaited for no longer than this share of a tick."""
-CYCLE_SHARE: Final = 0.02
-"""The sensors' cycle may differ so much from a tick; with another one there is nothing to keep."""
+MOST_US: Final = round(0.8 * READ_CYCLE_US)
+"""A read's frames are awaited for no longer than this."""
+CYCLE_OFF_US: Final = round(0.02 * READ_CYCLE_US)
+"""The sensors' cycle may be off by so much; with another one there is nothing to keep."""
 
 MOST_TICKS: Final = 3
 KEPT_US: Final = 10_000_000
@@ -191,6 +193,8 @@ class StepTiming:
 
     def __init__(self, tick_us: int) -> None:
         self._tick_us = tick_us
+        self._fits = READ_CYCLE_US % tick_us == 0
+        """Whether each cycle has steps at the same times."""
         self._waits_us = 0
         """How long after a read its frames are awaited."""
         self._had_all = 0
@@ -202,7 +206,7 @@ class StepTiming:
         self._whole_us: int | None = None
         """When the newest read was made of which all frames have come (sensor time)."""
         self._is_kept = False
-        """Whether reads follow each other as ticks do."""
+        """Whether reads follow each other as they should."""
         self.sooner_us = 0
         """To be taken from the tick that follows; negative to step later."""
 
@@ -225,9 +229,11 @@ class StepTiming:
             return
         age_us = sensor_us - self._read_us
         is_whole = self._whole_us is not None and self._whole_us >= self._read_us
-        if age_us > self._tick_us - LONGER_US:
+        if not -self._tick_us <= 2 * self._off_us(age_us) < self._tick_us:
+            return  # of the steps in this cycle another one is nearer
+        if age_us > READ_CYCLE_US - LONGER_US:
             # Nothing has come yet of the read that is due.
-            age_us, is_whole = age_us - self._tick_us, False
+            age_us, is_whole = age_us - READ_CYCLE_US, False
         if is_whole:
             self._had_all += 1
             shorter_us = SHORTER_US * (1 + self._had_all // SOONER_AFTER)
@@ -237,8 +243,8 @@ class StepTiming:
             # By no more for a step that was itself held up: that is the machine's doing, not the
             # read's.
             longer_us = min(self._waits_us, age_us) + LONGER_US
-            self._waits_us = min(max(self._waits_us, longer_us), round(MOST_SHARE * self._tick_us))
-        self._move(age_us)
+            self._waits_us = min(max(self._waits_us, longer_us), MOST_US)
+        self.sooner_us = max(-MOST_MOVED_US, min(MOST_MOVED_US, self._off_us(age_us)))
 
     def _see_last(self, inputs: StepInputs, sensor_us: int) -> None:
         """The last frame of a read."""
@@ -249,17 +255,18 @@ class StepTiming:
         """The first frames of this many reads have come, the newest of this one."""
         before_us, self._read_us = self._read_us, read_us
         ticks, self._ticks = self._ticks, 0
-        if before_us is None or (ticks > 1 and not (self._is_kept and frames == ticks)):
-            self._is_kept = False
+        if before_us is None or not self._fits:
             return
-        off_us = read_us - before_us - ticks * self._tick_us
-        self._is_kept = frames <= ticks and abs(off_us) <= CYCLE_SHARE * self._tick_us
+        # A first frame that comes as a step does is taken by this one or by the next.
+        apart_us = abs(frames * READ_CYCLE_US - ticks * self._tick_us)
+        off_us = abs(read_us - before_us - frames * READ_CYCLE_US)
+        follows = apart_us < READ_CYCLE_US and off_us <= CYCLE_OFF_US
+        self._is_kept = follows and (self._is_kept or frames == 1)
 
-    def _move(self, age_us: int) -> None:
-        """A read was so old when the step was made."""
-        half = self._tick_us // 2
-        off_us = (age_us - self._waits_us + half) % self._tick_us - half
-        self.sooner_us = max(-MOST_MOVED_US, min(MOST_MOVED_US, off_us))
+    def _off_us(self, age_us: int) -> int:
+        """How much later than awaited a step is at which the newest read is so old."""
+        half = READ_CYCLE_US // 2
+        return (age_us - self._waits_us + half) % READ_CYCLE_US - half
 
 
 def _reads(inputs: StepInputs, sensor_us: int) -> Sequence[int]:

@@ -40,8 +40,8 @@ LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
 """Tolerance of the root search: some microseconds at the brake's full torque."""
 GROWTH: Final = (0.0, 0.5, 1.0, 1.5)
-"""How the phase's variance grows with the time ahead is worked out at these shares of a tick
-beyond the least."""
+"""How the phase's variance grows with the time ahead is worked out at these shares of the time
+from one measurement to the next, beyond the least."""
 
 
 class Meeting:
@@ -126,10 +126,11 @@ class Trajectory(NamedTuple):
 
 
 class LastMeasurement(NamedTuple):
-    """When a sleeve can last be stopped: the last tick so long before its contact."""
+    """When a sleeve can last be stopped: at the last measurement so long before its contact."""
 
     before_us: float
-    tick_us: int
+    every_us: int
+    """From one measurement to the next."""
 
 
 @dataclass(frozen=True)
@@ -224,15 +225,14 @@ class GearPredictor:
         """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's
         delay: each as predicted by what will be known at the last measurement before it.
 
-        Measurements come tick by tick. A contact that is a little too early for one more of them
-        has the one before, a tick longer ago."""
-        before_us, tick_us = measurement
+        A contact that is a little too early for one more of them has the one before."""
+        before_us, every_us = measurement
         waits_us = first_us - now_us + step_us * np.arange(count)
-        ticks = np.maximum(0.0, np.floor((waits_us - before_us) / tick_us))
-        beyond = (waits_us - ticks * tick_us - before_us) / tick_us
-        most = int(ticks[-1]) + 1
-        settled = self.variances(now_us + before_us, float(tick_us), most)[ticks.astype(np.int64)]
-        grown = [self.estimate_variance(now_us + before_us + each * tick_us) for each in GROWTH]
+        more = np.maximum(0.0, np.floor((waits_us - before_us) / every_us))
+        beyond = (waits_us - more * every_us - before_us) / every_us
+        most = int(more[-1]) + 1
+        settled = self.variances(now_us + before_us, float(every_us), most)[more.astype(np.int64)]
+        grown = [self.estimate_variance(now_us + before_us + each * every_us) for each in GROWTH]
         if grown[0] == 0.0:
             return settled  # everything is known
         return np.asarray(settled * (np.interp(beyond, GROWTH, grown) / grown[0]))

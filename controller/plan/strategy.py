@@ -85,12 +85,13 @@ def settle_time_us(sheet: GearboxSheet, time_constants: float) -> float:
 
 
 def known_until_stop_us(predictor: GearPredictor, timing: Timing) -> int:
-    """How much later than the step that plans the earliest firing the last step comes in which that
-    sleeve can be stopped: the command's lead and what it flies till then, in whole ticks."""
+    """How much later than the step that plans the earliest firing the last step with new
+    measurements comes in which that sleeve can be stopped: the command's lead and what it flies
+    till then, in whole times from one such step to the next."""
     flies_us = timing.lead_ms * MS_IN_US + predictor.delay_us - predictor.stop_us
-    return max(0, flies_us - BUS_US) // timing.tick_us * timing.tick_us
+    return max(0, flies_us - BUS_US) // timing.measured_us * timing.measured_us
 
 
 def last_measurement(predictor: GearPredictor, timing: Timing) -> LastMeasurement:
     """When a sleeve on its way can last be stopped short of the teeth."""
-    return LastMeasurement(predictor.stop_us + BUS_US + LATE_US, timing.tick_us)
+    return LastMeasurement(predictor.stop_us + BUS_US + LATE_US, timing.measured_us)

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from meshpoint.controller.settings.strategy_file import StrategyFile
-from meshpoint.dbc.messages import Estimator, Strategy
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import EdgesInputRise, Estimator, Strategy
 from meshpoint.gearbox.driveline import Driveline
 from meshpoint.gearbox.sheet import SENSOR_SD_PA, GearboxSheet
 from meshpoint.gearbox.tables import (
@@ -26,6 +27,8 @@ from meshpoint.gearbox.tables import (
 from meshpoint.units import DEG, RPM
 
 MS_IN_US: Final = 1000
+READ_CYCLE_US: Final = CODECS[EdgesInputRise.__name__].spec.cycle_time_us
+"""From one read of the sensors to the next: no shorter tick sees more of them."""
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
 """The strategies of the DBC's value table; `plan/strategist` has the class of each."""
@@ -61,6 +64,11 @@ class Timing:
     def tick_us(self) -> int:
         """Time between two steps."""
         return self.tick_ms * MS_IN_US
+
+    @property
+    def measured_us(self) -> int:
+        """Time between two steps of which each knows more than the one before."""
+        return max(self.tick_us, READ_CYCLE_US)
 
     @property
     def lead_us(self) -> int:
@@ -166,7 +174,7 @@ class ShiftLimits:
     """How often the brake is used in one shift, and again after each time that the engine has
     raised the gear."""
     blocks: int = count("blocks", 1, 100, default=8)
-    """A shift ends when the guard has blocked its commands this often."""
+    """A shift ends when the guard has blocked its commands this often, counted once a read."""
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.5e5)
     """Below this supply pressure (absolute) no shift is begun."""
     valve_on_ms: int = count("valve_on_ms", 100, 10000, default=3000)

@@ -45,7 +45,8 @@ FALL_US: Final = 20 * MS_IN_US
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation time has been refused by the valve
 side: the activation is sent again."""
-BRAKE_GAUGES: Final = 8
+BRAKE_GAUGES_US: Final = 75 * MS_IN_US
+"""Of so long the brake's pressures are kept."""
 SHUTS_US: Final = 25 * MS_IN_US
 """A sample is there this long after a valve's current of when the slowest valve has shut."""
 SENSED_SHARE: Final = 0.005
@@ -195,10 +196,12 @@ class ShiftContext:
         self.sleeves = Sleeves(sheet)
         self.state = State.STARTING
         self.since_us = 0
-        self.brake_gauges: deque[tuple[int, float]] = deque(maxlen=BRAKE_GAUGES)
-        """The brake's pressure (Pa, gauge) in each of the newest steps, with the step's time."""
+        self.brake_gauges: deque[tuple[int, float]] = deque()
+        """The brake's pressure (Pa, gauge) in each step of late, with the step's time."""
         self.freed_us = 0
         """When a sleeve between neutral and a gear was last sent to neutral, between shifts."""
+        self._sampled_us = self._measured_us = 0
+        """The oldest of the sleeves' newest samples, and the step that has brought it."""
         self.clutch = ClutchAction.OPEN
         self.engine_rad_s: float | None = None
         """The speed the engine is asked for; None: nothing is asked."""
@@ -238,6 +241,15 @@ class ShiftContext:
     def tick_us(self) -> int:
         """From one step to the next."""
         return self.settings.timing.tick_us
+
+    def is_measured(self, snapshot: StepSnapshot) -> bool:
+        """Whether this step has a new read of the sensors: of a short tick not each one has."""
+        return self._measured_us == snapshot.now_us
+
+    def more_known_in_us(self, snapshot: StepSnapshot) -> int:
+        """After how long the next step comes that has a new read of the sensors."""
+        since_us = snapshot.now_us - self._measured_us
+        return max(self.tick_us, self.settings.timing.measured_us - since_us)
 
     @property
     def target(self) -> DriveGear | None:
@@ -293,6 +305,9 @@ class ShiftContext:
 
     def sense_sleeves(self, snapshot: StepSnapshot) -> None:
         """What this step's samples say of the main sleeves."""
+        sampled_us = snapshot.view.oldest_us
+        if sampled_us != self._sampled_us:
+            self._sampled_us, self._measured_us = sampled_us, snapshot.now_us
         if math.isfinite(snapshot.supply_pa):
             self.sleeves.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         self.sleeves.take(snapshot.view, snapshot.now_us)
@@ -301,6 +316,9 @@ class ShiftContext:
             if self.shift is not None:
                 self.shift.grinds = True
         self.brake_gauges.append((snapshot.now_us, snapshot.view.brake_gauge_pa))
+        # One that lies ahead is of a sensor clock that was set back since.
+        while not 0 <= snapshot.now_us - self.brake_gauges[0][0] <= BRAKE_GAUGES_US:
+            self.brake_gauges.popleft()
 
     def _turns_against(self, gear: MainGear, snapshot: StepSnapshot) -> bool:
         """Whether a gear turns against its sleeve faster than the guard lets any be fired, by the

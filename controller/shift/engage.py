@@ -161,7 +161,7 @@ def better_halted(
     if plan is None or _has_spent_its_time(context, snapshot):
         return None
     gear, at_us = shift.target.main, snapshot.at_once_us
-    sleeves, next_us = context.sleeves, at_us + context.tick_us
+    sleeves, next_us = context.sleeves, at_us + context.more_known_in_us(snapshot)
     # Until the last step in which it can be stopped, waiting costs nothing and more is known.
     if sleeves.stops(gear, plan.fire_us, next_us) or not sleeves.stops(gear, plan.fire_us, at_us):
         return None

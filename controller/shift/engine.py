@@ -8,9 +8,9 @@ away at once leaves the engine but not the twisted shafts. So on a driveline tha
 ring it is planned what is asked of the engine until the plates part, between its own torque as it
 was and the one with which it coasts along with the vehicle, that leaves shafts, wheels and tyres at
 rest then: for several times until then, and the one is taken that costs least. Only the plan's
-beginning is asked for; the next step plans anew from what was seen since (model predictive control;
-Rawlings, Mayne, Diehl 2017, ch. 1; taking a swing away by bounded torque: Singhose, Singer, Seering
-1994).
+beginning is asked for; the next plan is made anew from what was seen since (model predictive
+control; Rawlings, Mayne, Diehl 2017, ch. 1; taking a swing away by bounded torque: Singhose,
+Singer, Seering 1994).
 
 **Speed.** In a downshift the engine brings the layshaft above the new gear's speed (thesis 2.2):
 the clutch closes, the engine gets a TSC1 speed request, the clutch opens again; from there the slip
@@ -36,10 +36,10 @@ from meshpoint.kernels.jit import compiled
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
-LATER: Final = (0, 1, 2, 4, 7, 11, 17, 25, 40, 60)
-"""The plates part this many steps later than they could: tried from the first."""
-NEAR: Final = (-3, -2, -1, 0, 2)
-"""About what the step before has planned."""
+LATER_S: Final = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.17, 0.25, 0.4, 0.6)
+"""The plates part so much later than they could: tried from the first."""
+NEAR_S: Final = (-0.03, -0.02, -0.01, 0.0, 0.02)
+"""About what was planned before."""
 PIECES: Final = 6
 """A plan asks for no more torques than this, one after the other."""
 MS_PER_NM: Final = 2.0
@@ -88,11 +88,11 @@ def unload(
 ) -> Unloading | None:
     """The plan from here on; None where the driveline's figures lead nowhere finite. own_nm: the
     engine's torque before any of it was taken away; least: the steps that the clutch takes until
-    its plates part; before: those which the step before has planned until then."""
+    its plates part; before: those which were planned last until then."""
     if before is None:
-        later = {least + more for more in LATER}
+        later = {least + round(more_s / step_s) for more_s in LATER_S}
     else:
-        later = {least} | {max(least, before + more) for more in NEAR}
+        later = {least} | {max(least, before + round(more_s / step_s)) for more_s in NEAR_S}
     paths = _Paths(twist, step_s, max(later))
     if not np.abs(paths.left).max() < MOST_NM:
         return None
@@ -200,7 +200,7 @@ def _unload(
     context: ShiftContext, snapshot: StepSnapshot, twist: Twist, parting_s: float
 ) -> bool | None:
     """Asks for what the plan says; returns whether the clutch may set off, None without a plan."""
-    shift, step_s = context.running, context.tick_us * US
+    shift, step_s = context.running, context.settings.timing.measured_us * US
     if shift.own_nm is None:
         shift.own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
     if shift.clutch_us is not None:

@@ -237,11 +237,12 @@ class ShiftSequence(ShiftContext):
 
     def blocked(self, row: int, snapshot: StepSnapshot) -> None:
         """The guard has blocked this step's valve command, so all valves are off. The state tries
-        again until `limits.blocks` commands of the shift have been blocked; then the shift ends."""
+        again until `limits.blocks` commands of the shift have been blocked, by as many reads of the
+        sensors; then the shift ends."""
         self.all_off(snapshot.now_us)
         if self.shift is None:
             return
-        self.shift.blocks += 1
+        self.shift.blocks += self.is_measured(snapshot)
         plan, self.shift.plan, self.shift.release_us = self.shift.plan, None, None
         if self.state is State.SYNCHRONISING:
             self.shift.pulses = max(0, self.shift.pulses - 1)

@@ -41,12 +41,12 @@ RINGS_RAD_S: Final = 0.25
 7 rpm from peak to peak): that moves a gear's tooth against its sleeve by half a gap within 45 ms.
 Errors of the sensor wheel's teeth are 0.1 rad/s."""
 LEAST_MEASUREMENTS: Final = 6
-"""Measurements, one a step, from which a line can be distinguished from a swing."""
+"""Measurements, one a read of the sensors, from which a line can be distinguished from a swing."""
 FREE_STATES: Final = frozenset({State.SYNCHRONISING, State.COASTING})
 
 MEASUREMENTS: Final = 6
 """The engine's acceleration is that of its last 50 ms."""
-LONGEST_GAP_US: Final = 20_000
+LONGEST_GAP_US: Final = 25_000
 """Over a longer pause in what the engine says nobody knows what it did."""
 
 
@@ -99,11 +99,12 @@ class DrivelineRings:
         self._measurements: list[tuple[int, float]] = []
 
     def measure(self, state: State, snapshot: StepSnapshot) -> None:
-        """One step."""
+        """One step: one without a new speed shows nothing."""
         main = snapshot.speeds.main
         is_free = state in FREE_STATES and snapshot.view.main_gear is MainGear.NEUTRAL
         if is_free and main is not None:
-            self._measurements.append((snapshot.now_us, main))
+            if not self._measurements or main != self._measurements[-1][1]:
+                self._measurements.append((snapshot.now_us, main))
             return
         if len(self._measurements) >= LEAST_MEASUREMENTS and not self.twists:
             self.twists = self._is_told and self._swing_rad_s() > RINGS_RAD_S

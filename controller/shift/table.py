@@ -148,7 +148,7 @@ class ShiftRecord:
     own_nm: float | None = None
     """The engine's torque before it was taken away as a plan says; None: it was not."""
     unloads_in: int | None = None
-    """The steps until the plates part, as the last step planned."""
+    """The steps of a plan until the plates part, as planned last."""
     owed_share: float = 0.0
     """What rounding has left out of the torque asked for."""
     grinds: bool = False

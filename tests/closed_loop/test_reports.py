@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from loop_bench import SHEET, Loop
 
-from meshpoint.controller.core.reporter import ETC2_EVERY
-from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.core.reporter import ETC2_CYCLE_US
+from meshpoint.controller.settings.settings import ControllerSettings, Timing
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     ETC1,
@@ -95,8 +95,15 @@ def test_a_step_tells_its_own_number_and_the_time_and_count_of_the_one_before(
         assert after.previous_step_time_us == before.step_time_us
         assert after.previous_consumed_count == before.consumed_count
         assert after.previous_consumed_crc == before.consumed_crc
-    assert [ETC2 in step for step in steps] == [k % ETC2_EVERY == 0 for k in range(len(steps))]
     assert sum(ShiftPrediction in step for step in steps) > 10
+
+
+@pytest.mark.parametrize(("tick_ms", "every"), [(5, 20), (10, 10), (20, 5)])
+def test_the_truck_is_told_the_gear_each_tenth_of_a_second(tick_ms: int, every: int) -> None:
+    """Red before at 5 ms, where it was told twice as often, and at 20."""
+    steps = steps_of(Loop(settings=ControllerSettings(timing=Timing(tick_ms=tick_ms))).run(600_000))
+    assert every * tick_ms * 1_000 == ETC2_CYCLE_US
+    assert [ETC2 in step for step in steps] == [k % every == 0 for k in range(len(steps))]
 
 
 def test_a_step_is_as_late_as_can_be_said() -> None:

@@ -70,6 +70,7 @@ REASONS: Final = {
     "valve_name.py: RANGE_HIGH": VALVES,
     "listening.py: STAMPS": "wire contract: timestamps in an edge frame",
     "inputs.py: STAMPS": "wire contract: timestamps in an edge frame",
+    "view.py: READ_CYCLE_US": "wire contract: the sensors are read every 10 ms",
     "listening.py: SAMPLE_S": "wire contract: positions are sampled every millisecond",
     "gearbox_view.py: SAMPLES": "wire contract: samples of a sleeve in a frame",
     "gearbox_view.py: SAMPLE_US": "wire contract: positions are sampled every millisecond",

@@ -25,7 +25,7 @@ from meshpoint.controller.models.layshaft import (
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords
-from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.settings import READ_CYCLE_US, ControllerSettings, Timing
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -68,7 +68,8 @@ def side_of(step: Split | Range) -> int:
 
 @dataclass
 class Box:
-    """The gearbox, the engine, the clutch, and the sequence that shifts them, 10 ms a step."""
+    """The gearbox, the engine, the clutch, and the sequence that shifts them, a tick a step. The
+    sensors are read each 10 ms."""
 
     gear: int = 7
     input_rad_s: float = 150.0
@@ -92,11 +93,13 @@ class Box:
     def __post_init__(self) -> None:
         gear = DRIVE_GEARS[self.gear]
         self.now_us, self.seen = 5_000_000, []
+        self.tick_us = self.settings.timing.tick_us
         self.position_m = dict.fromkeys(Sleeve, 0.0)
         side = SLEEVE_OF_MAIN[gear.main]
         self.position_m[side.sleeve] = STROKE_M * side.direction
         self.position_m[Sleeve.SPLITTER] = STROKE_M * side_of(gear.split)
         self.position_m[Sleeve.RANGE] = STROKE_M * side_of(gear.range_)
+        self.tracks = {sleeve: deque([at], 11) for sleeve, at in self.position_m.items()}
         self.speed_m_s = dict.fromkeys(Sleeve, 0.0)
         self.sleeves = {one: ChamberSleeve(self.position_m[one]) for one in MAIN_SLEEVES}
         self.clutch, self.engine, self.torque = 1.0, self.input_rad_s, self.pull
@@ -146,27 +149,32 @@ class Box:
         return math.remainder(angle + after_s * self.slip(gear), PITCH)
 
     def step(self) -> State:
-        """10 ms of the gearbox by what the last step has commanded, then the next step."""
+        """A tick of the gearbox by what the last step has commanded, then the next step."""
         self._command()
-        tracks = {sleeve: [at] for sleeve, at in self.position_m.items()}
-        for ms in range(TICK_US // MS_US):
-            self._millisecond(self.now_us + MS_US * (ms + 1))
+        for _ in range(self.tick_us // MS_US):
+            self._millisecond(self.now_us + MS_US)
+            self.now_us += MS_US
             for sleeve, at in self.position_m.items():
-                tracks[sleeve].insert(0, at)
-        self.now_us += TICK_US
-        self.sense({sleeve: tuple(samples[:10]) for sleeve, samples in tracks.items()})
+                self.tracks[sleeve].appendleft(at)
+            if self.has_read:
+                self.sense({one: tuple(samples)[:10] for one, samples in self.tracks.items()})
         self.sequence.step(self.snapshot())
         self.seen.append((self.now_us, self.state))
         if self.sequence.finished is not None:
             self.records.append(self.sequence.finished)
         return self.state
 
+    @property
+    def has_read(self) -> bool:
+        """Whether the sensors are read now."""
+        return self.now_us % READ_CYCLE_US == 0
+
     def _command(self) -> None:
         """Sends what is commanded: it takes effect after the bus and the valve's delay."""
         self.sequence.tell_sleeves(self.now_us)
         arrives_us = self.now_us + BUS_US
         for valve, spool in self.spools.items():
-            times = range(arrives_us, arrives_us + TICK_US, SPOOL_US)
+            times = range(arrives_us, arrives_us + self.tick_us, SPOOL_US)
             is_taken = valve not in self.refused
             spool.extend(is_taken and self.board.driven(valve, at_us) for at_us in times)
         for low, high in (PUSHED[sleeve] for sleeve in MAIN_SLEEVES):
@@ -326,6 +334,11 @@ class Box:
 
 
 FIRST_SECOND: Final = Sleeve.FIRST_SECOND
+
+
+def ticking(tick_ms: int) -> ControllerSettings:
+    """Settings with this tick."""
+    return ControllerSettings(timing=Timing(tick_ms=tick_ms))
 
 
 def aimed(gear: int, input_rad_s: float = 150.0, **other: Any) -> Box:

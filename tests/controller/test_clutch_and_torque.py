@@ -83,3 +83,16 @@ def test_the_engines_acceleration_is_not_taken_over_a_pause() -> None:
         if k < 5:
             assert fall.engine_rad_s2 == 0.0
     assert fall.engine_rad_s2 == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize("tick_us", [5_000, 10_000, 20_000])
+def test_the_engines_acceleration_is_known_at_any_tick(tick_us: int) -> None:
+    """The engine says its speed each 10 ms, and every other step comes half a millisecond late. Red
+    before: at 20 ms that was a pause."""
+    fall, heard_us = TorqueFall(), -1
+    for step in range(40):
+        now_us, said_us = step * tick_us + 500 * (step % 2), step * tick_us // 10_000 * 10_000
+        speed = 100.0 + 100e-6 * said_us if said_us > heard_us else None
+        heard_us = said_us
+        fall.take(now_us, None, speed_rad_s=speed)
+    assert fall.engine_rad_s2 == pytest.approx(100.0, rel=0.02)

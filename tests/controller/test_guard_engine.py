@@ -4,6 +4,7 @@ engine is taken to change its speed, and what of its torque may still be asked f
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import pytest
 from guard_cases import kept_of_driveline
@@ -47,6 +48,21 @@ def test_the_engines_acceleration_is_taken_from_first_to_last_look(rise: float) 
     assert turning(*even(rise, 50_000)) == pytest.approx(expected)
     assert turning(*even(rise, 50_000, count=5)) == (0.0, 0.0)
     assert turning(*even(1.0, 0)) == pytest.approx((SHARE * (1e6 - 3.0), SHARE * (1e6 + 3.0)))
+
+
+@pytest.mark.parametrize("tick_us", [5_000, 10_000, 20_000])
+@pytest.mark.parametrize("end_us", [90_000, 115_000, 400_000])
+def test_at_any_tick_it_is_that_of_the_last_reads(tick_us: int, end_us: int) -> None:
+    """The engine says its speed each 10 ms. Red before: six steps of 5 ms are 25 ms, in which a
+    speed that was said once may stand at either end, or at both."""
+    limits = replace(LIMITS, tick_us=tick_us)
+    guard = DrivelineGuard(limits)
+    for now_us in range(0, end_us + 1, tick_us):
+        said = 100.0 + 40.0 * 1e-6 * (now_us - now_us % 10_000)
+        seen = PULLS._replace(now_us=NOW + now_us, engine_rad_s=said)
+        guard.passes_engine(torque(0.0), seen)
+    found = _turning_share(DrivelineCase(seen, kept_of_driveline(guard), limits))
+    assert found == pytest.approx((SHARE * (40.0 - 3.0), SHARE * (40.0 + 3.0)))
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

@@ -286,18 +286,24 @@ def test_lost_counts_lose_every_reference_and_all_that_was_seen() -> None:
     assert not references.certain(GEAR)
 
 
-@pytest.mark.parametrize(("looks", "known"), [(19, False), (20, True)])
+@pytest.mark.parametrize(
+    ("every_ms", "looks", "known"),
+    [(5, 37, False), (5, 39, True), (10, 19, False), (10, 20, True), (20, 10, False),
+     (20, 11, True)],
+)  # fmt: skip
 def test_nothing_is_concluded_of_a_gear_in_its_first_fifth_of_a_second_but_at_its_release(
-    looks: int, known: bool
+    every_ms: int, looks: int, known: bool
 ) -> None:
-    """Its tooth may still be on its way to a flank."""
+    """Its tooth may still be on its way to a flank. Red before: twenty steps were waited for, of
+    whatever tick."""
     references, events = PhaseReferences(SHEET), list[str]()
     locked = LockedGear(SHEET, references, None)
     references.locked(GEAR, 1.0)
     theta = BOX.layshaft_at_phase(HALF_GAP, 5.0, 3)
-    for _ in range(looks):
-        layshaft = LayshaftState(0.0, theta, 90.0, 0.0, 0.02 * GAP, 0.1)
-        locked.measure(GEAR, layshaft, ShaftState(0.0, 5.0, 70.0, 0.1 * GAP, 0.1), events)
+    for look in range(looks):
+        at_us = 1e6 + 1e3 * every_ms * look
+        layshaft = LayshaftState(at_us, theta, 90.0, 0.0, 0.02 * GAP, 0.1)
+        locked.measure(GEAR, layshaft, ShaftState(at_us, 5.0, 70.0, 0.1 * GAP, 0.1), events)
     assert references.known(GEAR) is known
     locked.released(events)
     locked.released(events)

@@ -45,6 +45,24 @@ def test_too_few_measurements_tell_nothing() -> None:
     assert not seen(5.0, measurements=5)
 
 
+def seen_at(tick_us: int, ends_us: int) -> bool:
+    """A shaft that swings widely and is read each 10 ms, by steps of this tick, until then."""
+    rings = DrivelineRings(load_sheet("truck12"))
+    for now_us in range(0, ends_us, tick_us):
+        read_us = now_us - now_us % 10_000
+        speed = 60.0 + 5.0 * math.sin(2.0 * math.pi * 8.0 * read_us * 1e-6)
+        measurement(rings, State.SYNCHRONISING, now_us, speed)
+    measurement(rings, State.ENGAGING, ends_us, 59.0)
+    return rings.twists
+
+
+@pytest.mark.parametrize("tick_us", [5_000, 10_000])
+def test_what_tells_a_swing_is_reads_however_many_steps_look_at_each(tick_us: int) -> None:
+    """Red before: six steps of 5 ms are three reads, and a line does not suit those."""
+    assert not seen_at(tick_us, 50_000)
+    assert seen_at(tick_us, 60_000)
+
+
 def test_what_once_twisted_twists_for_good() -> None:
     rings = DrivelineRings(load_sheet("truck12"))
     for shift, swing in enumerate((2.0, 0.0)):

@@ -19,6 +19,7 @@ from shift_box import (
     WAYS,
     Box,
     aimed,
+    ticking,
 )
 
 from meshpoint.controller.settings.settings import ControllerSettings
@@ -344,6 +345,21 @@ def test_a_shift_goes_on_after_some_commands_that_the_guard_has_blocked_and_ends
         assert box.state is State.CLUTCH_CLOSING
 
 
+@pytest.mark.parametrize("tick_ms", [5, 10, 20])
+@pytest.mark.parametrize("reads", [7, 8])
+def test_of_any_tick_a_shift_goes_on_while_the_guard_has_blocked_it_in_few_reads(
+    reads: int, tick_ms: int
+) -> None:
+    """Red before: at 5 ms eight blocked commands were half the time."""
+    box = aimed(*UP[:2], settings=ticking(tick_ms))
+    box.ask(UP[2])
+    box.until(State.SYNCHRONISING)
+    for _ in range(reads * max(box.tick_us, 10_000) // box.tick_us):
+        box.step()
+        box.sequence.blocked(5, box.snapshot())
+    assert (box.sequence.fault is FaultCode.GUARD_BLOCKED) is (reads == 8)
+
+
 @pytest.mark.parametrize(("row", "fault"), [(6, FaultCode.BRAKE_LIMIT),
     (9, FaultCode.INPUT_OVERSPEED), (10, FaultCode.DISENGAGE_REFUSED),
     (11, FaultCode.LOW_SUPPLY), (4, FaultCode.GUARD_BLOCKED)])  # fmt: skip
@@ -468,3 +484,16 @@ def test_a_gear_is_met_with_little_slip(way: tuple[int, float, int]) -> None:
         box.ready().shift(way[2])
     assert len(slips) == 4
     assert all(window.contact_low_rad_s < slip < window.fire_slip_rad_s for slip in slips)
+
+
+@pytest.mark.parametrize("tick_ms", [5, 10, 20])
+def test_the_brakes_pressure_is_remembered_for_as_long_at_any_tick(tick_ms: int) -> None:
+    """Also after the sensor clock was set back. Red before: eight steps of 5 ms are 35 ms."""
+    box = aimed(*UP[:2], settings=ticking(tick_ms))
+    for set_back_us in (0, 1_000_000):
+        box.now_us -= set_back_us
+        for _ in range(400_000 // box.tick_us):
+            box.step()
+        times_us = [time_us for time_us, _ in box.sequence.brake_gauges]
+        assert times_us[-1] == box.now_us
+        assert 60_000 <= times_us[-1] - times_us[0] <= 80_000

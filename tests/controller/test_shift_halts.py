@@ -20,9 +20,12 @@ from shift_box import (
     UP,
     Box,
     aimed,
+    ticking,
 )
 
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.plan.strategy import BUS_US
+from meshpoint.controller.settings.settings import READ_CYCLE_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
@@ -35,9 +38,9 @@ PRESSED_PA = 2e5
 HALF_GAP: float = 0.5 * SHEET.dog.backlash_rad
 
 
-def kicked(kick: float, way: tuple[int, float, int] = UP) -> Box:
+def kicked(kick: float, way: tuple[int, float, int] = UP, tick_ms: int = 10) -> Box:
     """A shift up, its sleeve just fired, and the main shaft jerks."""
-    box = aimed(*way[:2])
+    box = aimed(*way[:2], settings=ticking(tick_ms))
     box.ask(way[2])
     box.until(State.ENGAGING)
     box.theta_main += kick * PITCH
@@ -72,6 +75,23 @@ def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_fired_again_from_where_
     assert record.halt_m == pytest.approx(stood_m, abs=0.5e-3)
     assert len(met) == 1
     assert abs(met[0]) < HALF_GAP
+
+
+@pytest.mark.parametrize("tick_ms", [5, 10, 20])
+@pytest.mark.parametrize("input_rad_s", [190.0, 191.0])
+def test_of_any_tick_a_sleeve_is_stopped_after_the_last_read_by_which_it_can_be(
+    input_rad_s: float, tick_ms: int
+) -> None:
+    """No step sooner, and without another read no step later: red before, where of a tick of 5 ms
+    the one after that read was waited for, which knows no more."""
+    box = kicked(0.5, (7, input_rad_s, 9), tick_ms)
+    fired_us = box.board.command(VALVE).time_us
+    last_us = box.sequence.sleeves.last_abort_us(MainGear.SECOND, fired_us)
+    assert last_us is not None
+    box.until(State.HALTED, most=40)
+    next_us = box.now_us + max(box.tick_us, READ_CYCLE_US)
+    assert box.has_read
+    assert box.now_us <= last_us - BUS_US < next_us
 
 
 def test_a_sleeve_on_its_way_to_a_gap_is_not_stopped() -> None:

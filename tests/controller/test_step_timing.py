@@ -27,13 +27,19 @@ START_US = 1 << 33
 
 
 def steps(
-    begin_us: int, cycle_us: int, first_us: int, last_us: int, jitter_us: int = 0, count: int = 600
+    begin_us: int,
+    cycle_us: int,
+    first_us: int,
+    last_us: int,
+    jitter_us: int = 0,
+    count: int = 600,
+    tick_us: int = TICK_US,
 ) -> list[tuple[int, int | None]]:
     """Sensor times of this many steps, each with the age of the newest read that was whole. Frames
     come `first_us` to `last_us` after their read, and late by up to a jitter."""
-    timing, rng = StepTiming(TICK_US), np.random.default_rng(1)
+    timing, rng = StepTiming(tick_us), np.random.default_rng(1)
     now_us, seen, found = START_US + begin_us, [0, 0], []
-    late = rng.integers(0, jitter_us + 1, count * TICK_US // cycle_us + 500)
+    late = rng.integers(0, jitter_us + 1, count * tick_us // cycle_us + 500)
     for _ in range(count):
         inputs: Any = StepInputs()
         for k, after_us in enumerate((first_us, last_us)):
@@ -51,7 +57,7 @@ def steps(
         whole_us = START_US + (seen[1] - 1) * cycle_us
         found.append((now_us, now_us - whole_us if seen[1] else None))
         assert abs(timing.sooner_us) <= MOST_MOVED_US
-        now_us += TICK_US - timing.sooner_us
+        now_us += tick_us - timing.sooner_us
     return found
 
 
@@ -75,6 +81,27 @@ def test_steps_come_soon_after_the_last_frame_of_a_read(
     slack_us = 800 + 2 * jitter_us
     assert np.mean(ages < last_us + slack_us) > 0.94
     assert np.median(ages) <= last_us + slack_us / 2
+
+
+@pytest.mark.parametrize("tick_us", [2_500, 5_000, 10_000])
+@pytest.mark.parametrize("begin_us", [300, 4_100, 7_700])
+def test_each_read_is_taken_soon_by_a_step_of_any_tick_that_fits_its_cycle(
+    tick_us: int, begin_us: int
+) -> None:
+    """Of a shorter tick by one of the steps in a cycle: red before, where those of a tick of 5 ms
+    stayed wherever they began, between the frames of a read or not."""
+    last_us, count = 5_300, 1_500
+    found = steps(begin_us, 10_000, 800, last_us, jitter_us=200, count=count, tick_us=tick_us)
+    ages = [age for _, age in found[count // 2 :] if age is not None]
+    each = 10_000 // tick_us
+    freshest = [min(ages[k : k + each]) for k in range(0, len(ages) - each + 1, each)]
+    assert np.mean(np.array(freshest) < last_us + 800) > 0.94
+
+
+@pytest.mark.parametrize("tick_us", [3_000, 7_000, 20_000])
+def test_steps_that_do_not_fit_the_cycle_stay_ticks(tick_us: int) -> None:
+    found = steps(3_000, 10_000, 800, 5_300, tick_us=tick_us)
+    assert np.all(np.diff([now_us for now_us, _ in found]) == tick_us)
 
 
 def inputs_of(*read_us: int) -> Any:

@@ -23,7 +23,13 @@ from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.plan.gear_predictor import GearPredictor, LastMeasurement
 from meshpoint.controller.plan.strategist import STRATEGIES, Plan, Strategist, make_strategy
-from meshpoint.controller.settings.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window
+from meshpoint.controller.settings.settings import (
+    STRATEGY_NAMES,
+    Aim,
+    ControllerSettings,
+    Timing,
+    Window,
+)
 from meshpoint.dbc.messages import ReferenceSource, ShiftDecision
 from meshpoint.gearbox import MainGear, Split, load_sheet
 from meshpoint.units import RPM
@@ -198,16 +204,30 @@ def test_a_sleeve_is_fired_at_once_if_what_can_stop_it_is_reported_in_time(
     stopped short of the teeth for 12 ms from then on: the step after 20 ms can still stop it, one
     that can be stopped for 22 ms the step after 30 ms. If the phase is known later, a later gap is
     better."""
+    assert is_fired_at_once(reported_ms, stops_ms) is is_fired
+
+
+def is_fired_at_once(reported_ms: int, stops_ms: int, tick_ms: int = 10) -> bool:
     first_us = EARLIEST_US + DELAY_US
     at_zero, _ = predictor_at(20.0, references=learned(0.0)).phase_and_slip(first_us)
     usual = predictor_at(20.0, references=learned(-at_zero))
     values = {field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)}
     predictor = ReportedSoon(**values | {"stop_us": DELAY_US - 1000 * stops_ms})
     object.__setattr__(predictor, "reported_us", 1000.0 * reported_ms)
-    chosen = ControllerSettings().with_strategy("target_phase")
+    chosen = ControllerSettings(timing=Timing(tick_ms=tick_ms)).with_strategy("target_phase")
     contact_us = make_strategy(SHEET, chosen).contact(predictor, NOW_US, EARLIEST_US)
     assert contact_us is not None
-    assert (contact_us - first_us < 3_000) is is_fired
+    return contact_us - first_us < 3_000
+
+
+@pytest.mark.parametrize("tick_ms", [5, 10, 20])
+@pytest.mark.parametrize(("reported_ms", "is_fired"), [(20, True), (25, False)])
+def test_of_any_tick_only_a_step_with_a_new_read_knows_more(
+    tick_ms: int, reported_ms: int, is_fired: bool
+) -> None:
+    """What is known after 25 ms comes too late for the read after 20 ms. Red before: a tick of 5 ms
+    has a step after 25, but that one has no read."""
+    assert is_fired_at_once(reported_ms, 12, tick_ms) is is_fired
 
 
 @given(ticks=st.integers(0, 8), share=st.floats(0.0, 0.999))
