@@ -191,7 +191,7 @@ def _references(saved: SavedReferences, pitch_rad: float) -> ReferenceRecords:
     return ReferenceRecords(**given)
 
 
-class Follower:
+class ReplayEstimator:
     """Estimates by `header`, along another controller's trajectory."""
 
     def __init__(self, header: RunHeader) -> None:
@@ -253,7 +253,7 @@ class Follower:
     def _learn_from(self, first: ShiftSequence, now_us: int) -> None:
         """The first controller's valve commands and its lock."""
         self.brake.follow(first.brake)
-        first.board.say_to(self.sleeves, now_us)
+        first.board.publish_to(self.sleeves, now_us)
         watched = first.references.watched
         if watched is not None and watched is not self._watched:
             self.observer.references.locked(watched.gear, float(watched.flank))

@@ -64,7 +64,7 @@ class GuardedCommands:
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)
             frame = self._transmitter.instead(ValveCommand())
-        sequence.tell_sleeves(snapshot.now_us)
+        sequence.notify_actuators(snapshot.now_us)
         if not guard.is_armed:
             return [frame]
         return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]

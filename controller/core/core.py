@@ -18,7 +18,7 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Follower, Learned, collect, restore
+from meshpoint.controller.core.carry_over import Learned, ReplayEstimator, collect, restore
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
@@ -128,7 +128,7 @@ class ControllerCore:
             restore(header.calibration, self._observer, self._sequence.sleeves)
 
     @property
-    def knows(self) -> tuple[int, int, int]:
+    def calibration_revision(self) -> tuple[int, int, int]:
         """Changes when there is more to keep: shifts that have ended, what has been learned from
         them, references that are known."""
         return self.shifts, self._observer.learned, self._observer.references.mask
@@ -165,12 +165,12 @@ class ControllerCore:
         self._sequence.change_settings(settings)
         self._reporter.change_header(self.header)
 
-    def engaged_by_another(self, gear: MainGear) -> None:
+    def note_external_engagement(self, gear: MainGear) -> None:
         """This gear was engaged, but not by this controller: its reference is learned from how
         its tooth moves alone. For replays of another controller's log."""
         self._observer.references.locked(gear, 0.0)
 
-    def estimate_by(self, follower: Follower) -> None:
+    def adopt_estimator(self, follower: ReplayEstimator) -> None:
         """Goes on with a follower's estimates, data sheet and settings: it is this controller's
         from here on. The guard stays the one of the own data sheet."""
         self.header, sequence = follower.header, self._sequence

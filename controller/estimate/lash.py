@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.figures import Figure
-from meshpoint.controller.estimate.loaded_driveline import BehindState, Shafts
+from meshpoint.controller.estimate.loaded_driveline import DrivelineMotion, Shafts
 from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
@@ -44,7 +44,7 @@ from meshpoint.units import US
 PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
 """A sequence each."""
 
-DRIVELINES: Final = 2500
+PARTICLES: Final = 2500
 """Number of drivelines in a cloud."""
 AROUND: Final = 1.15
 """The first cloud lies within the backlash and this much of its half beyond: flanks give way."""
@@ -124,7 +124,7 @@ class LashStart(NamedTuple):
     vehicle_root: Vector | None = None
     """A root of the covariance of the vehicle's speed and acceleration, (2, 2); None: as the sheet
     says."""
-    behind: BehindState | None = None
+    behind: DrivelineMotion | None = None
     """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
 
 
@@ -207,9 +207,9 @@ class Lash:
         return Chance(2.0 * (nm / self._turned_kgm2) ** 2 * axle.chance_s, axle.chance_s)
 
     def cloud(self, start: LashStart) -> Vector:
-        """The first cloud, (ROWS, DRIVELINES)."""
-        known, axle, sure = self.known, self.axle, normal(DRIVELINES)
-        x = np.empty((ROWS, DRIVELINES))
+        """The first cloud, (ROWS, PARTICLES)."""
+        known, axle, sure = self.known, self.axle, normal(PARTICLES)
+        x = np.empty((ROWS, PARTICLES))
         x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
         x[HALF] = np.exp(known.half.log + known.half.sd * sure[0])
         root = np.diag(self.vehicle_sds) if start.vehicle_root is None else start.vehicle_root
@@ -221,22 +221,22 @@ class Lash:
         x[LOSS] = np.exp(known.loss.log + known.loss.sd * sure[7])
         x[DRAG] = np.maximum(np.exp(known.drag.log + known.drag.sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
-        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * even(DRIVELINES)[1]) * x[HALF]
+        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * even(PARTICLES)[1]) * x[HALF]
         if start.behind is not None:
             self._follow_on(x, start.behind)
         return x
 
-    def _follow_on(self, x: Vector, behind: BehindState) -> None:
+    def _follow_on(self, x: Vector, behind: DrivelineMotion) -> None:
         """Starts from what the driveline was found to be in gear. Where it lies in its backlash is
         not believed of all: half of them lie anywhere where no flank was pressed on."""
         mean, root, half = behind
-        found = mean[:, np.newaxis] + root @ normal(DRIVELINES)[1:6]
+        found = mean[:, np.newaxis] + root @ normal(PARTICLES)[1:6]
         twist, ratio = found[0], self.ratio
         beyond = twist - np.clip(twist, -half, half)
         way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
         is_pressed = abs(mean[0]) - half > PRESSED_SDS * math.sqrt(float(root[0] @ root[0]))
         share = PRESSED_IN_GEAR if is_pressed else FREE_IN_GEAR
-        x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
+        x[WAY] = np.where(GOLDEN * np.arange(PARTICLES) % 1.0 < share, way, x[WAY])
         x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
 
     @property
@@ -272,7 +272,7 @@ class StartWatch:
 
     def __init__(self) -> None:
         self._since_us = 0.0
-        self._behind: BehindState | None = None
+        self._behind: DrivelineMotion | None = None
         self._vehicle: VehicleTrajectory | None = None
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
@@ -285,7 +285,7 @@ class StartWatch:
         """A window in neutral has shown how the vehicle goes."""
         self._vehicle = vehicle
 
-    def released(self, since_us: float, behind: BehindState | None = None) -> None:
+    def released(self, since_us: float, behind: DrivelineMotion | None = None) -> None:
         """A gear came out no later than this; behind: as in `LashStart`."""
         self._since_us, self._behind = since_us, behind
         self.waiting = np.empty((2, 0))

@@ -29,8 +29,8 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.estimate.lash import (
-    DRIVELINES,
     LEAST_DRAG,
+    PARTICLES,
     PRIMES,
     Lash,
     LashStart,
@@ -151,7 +151,7 @@ def _mean_and_root(quantities: Vector, weights: Vector) -> tuple[Vector, Vector]
     return mean, sd[:, np.newaxis] * np.linalg.cholesky(related)
 
 
-class LashCloud:
+class BacklashParticleFilter:
     """The drivelines of one interval in neutral."""
 
     def __init__(self, lash: Lash, start: LashStart, edge_time_s: float) -> None:
@@ -169,7 +169,7 @@ class LashCloud:
 
     def _begin(self, start: LashStart) -> None:
         self._x = self._lash.cloud(start)
-        self._logs = np.zeros(DRIVELINES)
+        self._logs = np.zeros(PARTICLES)
         self._weights: Vector | None = None
         """Those of the present logarithms, once they were asked for."""
         self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
@@ -253,15 +253,15 @@ class LashCloud:
         whole = float(p[0, 0]) + variance
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
-        self._take_surprise(off, whole)
+        self._update_nis(off, whole)
         correct(x, self._logs, off, gain, whole)
         self._weights = None
         self._p = p - np.outer(gain, p[0])
         weights = self.weights
-        if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES and self.is_alive:
+        if 1.0 / float(weights @ weights) < LEAST_SHARE * PARTICLES and self.is_alive:
             self._draw(weights)
 
-    def _take_surprise(self, off: Vector, variance: float) -> None:
+    def _update_nis(self, off: Vector, variance: float) -> None:
         """Takes how far off the cloud was: one that has lost the driveline does not know it by
         itself, because what is resampled is as narrow as the little that was left."""
         weights = self.weights
@@ -272,9 +272,9 @@ class LashCloud:
     def _draw(self, weights: Vector) -> None:
         """Draws the cloud anew, each driveline as often as its weight says."""
         self._drawn += 1
-        begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
-        numbers = scattered_twice(DRIVELINES)[: len(SPREAD) + len(SHARES)]
-        self._x = resampled(self._x, weights, numbers[:, begin : begin + DRIVELINES])
+        begin = -self._drawn * PRIMES[-1] ** 2 % PARTICLES
+        numbers = scattered_twice(PARTICLES)[: len(SPREAD) + len(SHARES)]
+        self._x = resampled(self._x, weights, numbers[:, begin : begin + PARTICLES])
         self._logs[:], self._weights = 0.0, None
 
     def trajectory(self, half_gap_rad: float) -> LashTrajectory | None:

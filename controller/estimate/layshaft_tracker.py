@@ -113,7 +113,7 @@ class Part(Enum):
 
 
 @dataclass
-class FreeRunLesson:
+class LearningTask:
     """A free run that has ended, and what of it is still to be learned."""
 
     run: FreeRun
@@ -127,7 +127,7 @@ class FreeRunLesson:
     noise: Search | None = None
 
 
-class CrossingTracker(WheelTracker[FreeRunLesson]):
+class CrossingTracker(WheelTracker[LearningTask]):
     """Angle, speed and brake pressure of the layshaft at any time near now."""
 
     def __init__(
@@ -281,7 +281,7 @@ class CrossingTracker(WheelTracker[FreeRunLesson]):
             brake = BrakeInput(0)
             brake.follow(self._brake)
             self._lessons.append(
-                FreeRunLesson(self._run, brake, self.model, self._inertia_kgm2, self._steady_rad_s)
+                LearningTask(self._run, brake, self.model, self._inertia_kgm2, self._steady_rad_s)
             )
             self._run = FreeRun(self._tuning)
             self._steady_rad_s = float(x[OMEGA])
@@ -296,26 +296,26 @@ class CrossingTracker(WheelTracker[FreeRunLesson]):
         state.p[THETA, THETA] += self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 
-    def _learn_part(self, lesson: FreeRunLesson) -> bool:
+    def _learn_part(self, lesson: LearningTask) -> bool:
         lesson.part = self._LEARN[lesson.part](self, lesson)
         return lesson.part is Part.NOTHING
 
-    def _free_motion(self, lesson: FreeRunLesson) -> FreeMotion:
+    def _free_motion(self, lesson: LearningTask) -> FreeMotion:
         """By what is known of the brake's delays and of the teeth now."""
         known = self._known
         lesson.brake.set_delays(known.off_delay_us, known.on_delay_us)
         edge_time_s, switches = self.noise[EDGE_TIME].value, lesson.brake.arrays()
         return FreeMotion(self.teeth, edge_time_s, switches, lesson.model, lesson.inertia_kgm2)
 
-    def _learn_brake(self, lesson: FreeRunLesson) -> Part:
+    def _learn_brake(self, lesson: LearningTask) -> Part:
         learned = self._known.learn(lesson.run.samples, *lesson.brake.commands)
         return Part.TOUCH_AND_LAG if learned and self.teeth.learned else Part.NOISE
 
-    def _learn_touch_and_lag(self, lesson: FreeRunLesson) -> Part:
+    def _learn_touch_and_lag(self, lesson: LearningTask) -> Part:
         lesson.run.learn_touch_and_lag(self._known, self._free_motion(lesson))
         return Part.NOISE
 
-    def _learn_noise(self, lesson: FreeRunLesson) -> Part:
+    def _learn_noise(self, lesson: LearningTask) -> Part:
         """How much of what was not expected is the edges' own, and how much is torque."""
         if lesson.noise is None:
             motion = self._free_motion(lesson)
@@ -328,7 +328,7 @@ class CrossingTracker(WheelTracker[FreeRunLesson]):
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)
         return Part.FRICTION
 
-    def _learn_friction(self, lesson: FreeRunLesson) -> Part:
+    def _learn_friction(self, lesson: LearningTask) -> Part:
         if self.teeth.learned and lesson.steady_rad_s is not None:
             self.friction = lesson.run.learn_friction(
                 self.friction, lesson.steady_rad_s, self._known, self._free_motion(lesson)

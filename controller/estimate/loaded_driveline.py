@@ -110,7 +110,7 @@ class Shafts(NamedTuple):
     half_lash_rad: float
 
 
-class BehindState(NamedTuple):
+class DrivelineMotion(NamedTuple):
     """The driveline behind a gearbox at a time, at the propeller shaft: the shafts' twist from the
     middle of their backlash (rad), the wheels' speed (rad/s), the tyres' twist (rad), the vehicle's
     speed (rad/s) and what hills do to it (rad/s2)."""
@@ -325,7 +325,7 @@ class LoadedDriveline:
         )
         return Twist(figures, state)
 
-    def behind(self, time_us: float) -> BehindState | None:
+    def behind(self, time_us: float) -> DrivelineMotion | None:
         """The driveline behind the gearbox at a time soon after the newest measurement; None where
         the gear was not followed for long enough."""
         found = self._at(time_us)
@@ -337,7 +337,7 @@ class LoadedDriveline:
         values, vectors = np.linalg.eigh(shared)
         half, tooth = (model.view(LOADED_MODEL)[name][0] for name in ("half_lash_rad", "tooth_rad"))
         mean[0] += tooth
-        return BehindState(mean, vectors * np.sqrt(np.maximum(values, 0.0)), float(half))
+        return DrivelineMotion(mean, vectors * np.sqrt(np.maximum(values, 0.0)), float(half))
 
 
 def _tooth_rad(edges: Vector, times_us: Vector, angles: Vector) -> float:

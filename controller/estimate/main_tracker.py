@@ -23,7 +23,7 @@ from meshpoint.controller.estimate.driveline_swing import (
 )
 from meshpoint.controller.estimate.figures import Search, prior
 from meshpoint.controller.estimate.lash import Lash, StartWatch
-from meshpoint.controller.estimate.lash_cloud import LashCloud
+from meshpoint.controller.estimate.lash_cloud import BacklashParticleFilter
 from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline, Shafts
 from meshpoint.controller.estimate.wheel_tracker import NOISE_ADAPTATION, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
@@ -88,7 +88,7 @@ class Prediction(NamedTuple):
     sd_rad: float
 
 
-class LashRivals:
+class ModelSelector:
     """Scores of both models in one step of the range, over the windows seen."""
 
     def __init__(self) -> None:
@@ -102,12 +102,12 @@ class LashRivals:
         self._newest: tuple[float, float] | None = None
 
     @property
-    def believes_lash(self) -> bool:
+    def lash_is_selected(self) -> bool:
         """Whether the backlash has predicted better so far."""
         return self._believed
 
     @property
-    def tries_lash(self) -> bool:
+    def lash_is_candidate(self) -> bool:
         """Whether the backlash is worth a try."""
         return self._tried
 
@@ -161,7 +161,7 @@ def _deviance(predicted: Prediction, angle_rad: float, within_rad: float) -> flo
     return -2.0 * math.log(LUCK + (1.0 - LUCK) * 0.5 * share)
 
 
-class Behind(NamedTuple):
+class DrivelineSpec(NamedTuple):
     """What turns behind the gearbox, and how closely the main shaft's angle has to be known."""
 
     axle: Axle = Axle()
@@ -187,26 +187,26 @@ class MainTracker(WheelTracker[SwingLesson]):
         teeth: int,
         missing: tuple[int, ...] = (),
         range_ratios: tuple[float, float] = (1.0, 1.0),
-        behind: Behind | None = None,
+        behind: DrivelineSpec | None = None,
     ) -> None:
         """range_ratios: i_range of low and high; behind: what turns behind the gearbox."""
         super().__init__(tuning, teeth, missing, MAIN_FILTER)
         white = 2.0 * tuning.follow_rad_s2**2 * tuning.follow_s
         self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, STILL)
         steps = (Range.LOW, Range.HIGH)
-        axle, self._half_gap_rad = Behind() if behind is None else behind
+        axle, self._half_gap_rad = DrivelineSpec() if behind is None else behind
         self._swings = {step: DrivelineSwing(tuning) for step in steps}
         self._lashes = {
             step: Lash(axle, tuning.lash_rad, tuning.lash_factor, ratio)
             for step, ratio in zip(steps, range_ratios, strict=True)
         }
-        self._rivals = {step: LashRivals() for step in steps}
+        self._rivals = {step: ModelSelector() for step in steps}
         self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
         """Standard deviation (s) of an edge's time."""
         self._range = Range.HIGH
         self._run = EdgeRun()
         self._before = StartWatch()
-        self._cloud: LashCloud | None = None
+        self._cloud: BacklashParticleFilter | None = None
         """The drivelines that may be, once the first edges in neutral have come."""
         self._trajectory: tuple[float, LashTrajectory | None] = (0.0, None)
         """The newest edges' time and the trajectory from then on."""
@@ -225,18 +225,21 @@ class MainTracker(WheelTracker[SwingLesson]):
     def _follow_lash(self, edges: Vector) -> None:
         """The cloud takes new edges, and both models say what comes next."""
         before, lash, rivals = self._before, self._lashes[self._range], self._rivals[self._range]
-        if not rivals.tries_lash:
+        if not rivals.lash_is_candidate:
             return
         if self._cloud is None:
             start = before.take_out(edges, lash.vehicle_sds)
             if start is None:
                 return
-            self._cloud, edges = LashCloud(lash, start, self.edge_time.value), before.waiting
+            self._cloud, edges = (
+                BacklashParticleFilter(lash, start, self.edge_time.value),
+                before.waiting,
+            )
         self._cloud.take(edges, self.teeth.sd_rad)
         rivals.judge(edges, self._half_gap_rad)
         state = self._filter
         asked = rivals.wants(state.time_us)
-        if not (asked or rivals.believes_lash):
+        if not (asked or rivals.lash_is_selected):
             return
         trajectory = self._cloud.trajectory(self._half_gap_rad)
         self._trajectory = (self._cloud.time_us, trajectory)
@@ -264,18 +267,18 @@ class MainTracker(WheelTracker[SwingLesson]):
 
     @property
     def _has_lash(self) -> bool:
-        return self._rivals[self._range].believes_lash
+        return self._rivals[self._range].lash_is_selected
 
     def shafts(self, step: Range) -> Shafts | None:
         """The shafts behind, as far as they are known; None where a step of the range shows no
         backlash, so that nobody asks how it is loaded."""
-        if not self._rivals[step].tries_lash:
+        if not self._rivals[step].lash_is_candidate:
             return None
         return self._lashes[step].shafts
 
     def record(self, step: Range) -> SwingRecord | None:
         """What a calibration file keeps of the driveline in a step of the range."""
-        has_lash = self._rivals[step].believes_lash
+        has_lash = self._rivals[step].lash_is_selected
         return self._swings[step].record(self._lashes[step].known, has_lash)
 
     def restore(self, step: Range, record: SwingRecord) -> None:
@@ -348,7 +351,7 @@ class MainTracker(WheelTracker[SwingLesson]):
         cloud, rivals = self._cloud, self._rivals[self._range]
         rivals.end()
         self._let_cloud_go()
-        if cloud is not None and cloud.is_alive and rivals.believes_lash:
+        if cloud is not None and cloud.is_alive and rivals.lash_is_selected:
             self._lashes[self._range].learn(cloud.log_figure)
             self._before.take_vehicle(cloud.vehicle)
 

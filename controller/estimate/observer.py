@@ -10,7 +10,7 @@ from meshpoint.controller.estimate.layshaft_tracker import (
     LayshaftTracker,
 )
 from meshpoint.controller.estimate.loaded_driveline import Load, LoadedDriveline
-from meshpoint.controller.estimate.main_tracker import Behind, MainTracker
+from meshpoint.controller.estimate.main_tracker import DrivelineSpec, MainTracker
 from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.estimate.reference_recovery import LockedGear, ReferenceRecovery
 from meshpoint.controller.measure.clock import JUMP_US, SensorClockEstimate
@@ -96,7 +96,7 @@ class Observer:
                 wheels.main.teeth,
                 wheels.main.missing,
                 (sheet.range_.low.ratio, sheet.range_.high.ratio),
-                Behind(sheet.axle, sheet.dog.backlash_rad / 2.0),
+                DrivelineSpec(sheet.axle, sheet.dog.backlash_rad / 2.0),
             )
             self._learners = layshaft, main
             self.recovery = ReferenceRecovery(sheet, self.references, layshaft.teeth, main.teeth)

@@ -257,7 +257,7 @@ class WheelTeeth:
         self._seen = (0.0, 0.0)
         """Squares and edges of the windows that have ended since the teeth were numbered."""
         self._looked_at = 0.0
-        self._strangers = self._unlike = self._untold = 0
+        self._unmatched = self._inconsistent = self._unreported = 0
         self.memory: ToothPattern | None = None
         self.found: Found | None = None
         """Set when the memory has been recognised; the reader resets it to None."""
@@ -304,12 +304,12 @@ class WheelTeeth:
         if self._best_deviance(window) > UNLIKE_MODEL:
             return None
         if self.learned and self._is_a_stranger_s(window):
-            self._strangers += 1
-            if self._strangers < WINDOWS_TO_FORGET:
+            self._unmatched += 1
+            if self._unmatched < WINDOWS_TO_FORGET:
                 return "teeth do not agree with what was learned"
             self.forget()
             return "teeth forgotten: they are not those that were learned"
-        self._strangers = 0
+        self._unmatched = 0
         self._normal = FORGET * self._normal + window.normal
         self._right = FORGET * self._right + window.right
         self._seen = (self._seen[0] + window.squares, self._seen[1] + window.edges)
@@ -348,7 +348,7 @@ class WheelTeeth:
         self._seen, self._looked_at = (0.0, 0.0), 0.0
         self.error_rad = np.zeros(self._edges)
         self.sd_rad, self.learned = self._unlearned_sd_rad, False
-        self._strangers = self._unlike = self._untold = self.edges_seen = 0
+        self._unmatched = self._inconsistent = self._unreported = self.edges_seen = 0
         self.found = None
         self.learner.running = False
 
@@ -387,13 +387,13 @@ class WheelTeeth:
         """After a whole window: drops the memory if it belongs to another wheel, or if the wheel's
         own errors are known and the turn is still not certain. Returns a line for the log."""
         if verdict.stranger:
-            self._unlike += 1
-            if self._unlike >= WINDOWS_TO_FORGET:
-                self.memory, self._unlike = None, 0
+            self._inconsistent += 1
+            if self._inconsistent >= WINDOWS_TO_FORGET:
+                self.memory, self._inconsistent = None, 0
                 return "teeth forgotten: they are not those that were remembered"
             return "teeth do not agree with those that were remembered"
-        self._untold += self.learned
-        if self._untold < WINDOWS_TO_TELL:
+        self._unreported += self.learned
+        if self._unreported < WINDOWS_TO_TELL:
             return None
         self.memory = None
         return "teeth cannot be distinguished: their old numbers stay unknown"

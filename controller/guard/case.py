@@ -56,7 +56,7 @@ SPLITTER: Final = 2
 RANGE: Final = 3
 
 
-class Wish(NamedTuple):
+class ValveRequest(NamedTuple):
     """A decoded command: action and 32-bit time of each valve."""
 
     actions: tuple[int, ...]
@@ -68,12 +68,14 @@ class Wish(NamedTuple):
         return tuple(action in (ON_NOW, ON_AT) for action in self.actions)
 
 
-def decode(payload: bytes) -> Wish:
+def decode(payload: bytes) -> ValveRequest:
     """Decodes a valve command frame. ValueError if it does not have the length of one."""
     if len(payload) != FRAME_LENGTH:
         raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
     actions = int.from_bytes(payload[ACTION_BYTES], "little")
-    return Wish(tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES))
+    return ValveRequest(
+        tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES)
+    )
 
 
 class Span(NamedTuple):
@@ -88,7 +90,7 @@ NO_SPANS: Final[Spans] = (None,) * VALVE_COUNT
 NO_PULLS: Final[frozenset[int]] = frozenset()
 
 
-def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
+def spans(wish: ValveRequest, before: Spans, now_us: int) -> Spans:
     """When each valve would be driven if this command passed.
 
     before: the spans of the command passed last; now_us: sensor time."""
@@ -152,7 +154,7 @@ class GuardState:
     """When each valve of splitter and range was last driven."""
 
 
-class Case(NamedTuple):
+class JudgedCommand(NamedTuple):
     """What a rule judges: the spans asked for, what the sensors show, the guard's state, the
     limits."""
 

@@ -8,12 +8,12 @@ shaft may do if the layshaft keeps its speed; in the last one before contact, wh
 
 from __future__ import annotations
 
-from meshpoint.controller.guard.case import Case, Span
+from meshpoint.controller.guard.case import JudgedCommand, Span
 from meshpoint.controller.guard.limits import REACT_US, SLIP_MARGIN_RAD_S
 from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 
 
-def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
+def slip_may_leave_its_window(case: JudgedCommand, valve: int, span: Span) -> bool:
     """Whether the slip at contact is outside its window as far as is known now. A swing or a
     speed that is not known may do anything."""
     stops, last = is_last_stop(case, valve, span), is_last_call(case, valve, span)
@@ -41,14 +41,14 @@ def slip_may_leave_its_window(case: Case, valve: int, span: Span) -> bool:
     )
 
 
-def is_last_stop(case: Case, valve: int, span: Span) -> bool:
+def is_last_stop(case: JudgedCommand, valve: int, span: Span) -> bool:
     """Whether a command that switches the valve off still stops the sleeve short of the teeth, but
     may come too late for that in the next step."""
     stopped_us = span.start_us + longest_pulse_us(case.limits, case.set_off_m(valve, span))
     return case.seen.now_us < stopped_us <= case.seen.now_us + REACT_US
 
 
-def is_last_call(case: Case, valve: int, span: Span) -> bool:
+def is_last_call(case: JudgedCommand, valve: int, span: Span) -> bool:
     """Whether the sleeve has not met its gear yet, but may have when a command of the next step can
     act."""
     early_us, _ = case.contact_us(valve, span)

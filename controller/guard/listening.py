@@ -156,7 +156,7 @@ class Channel:
         self.is_valid, self._bad, self._good_in_a_row = False, 0, 0
 
 
-class GuardEar:
+class GuardReceiver:
     """Takes the frames of each step."""
 
     def __init__(self) -> None:

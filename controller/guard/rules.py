@@ -21,8 +21,8 @@ from meshpoint.controller.guard.case import (
     NO_SPANS,
     SPLITTER,
     VALVE_COUNT,
-    Case,
     GuardState,
+    JudgedCommand,
     Span,
     Spans,
     decode,
@@ -58,10 +58,10 @@ CLOCK_ERROR_US: Final = 12_000
 """A tick and the bus: what one of two clocks may not have seen of the least delay."""
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
 
-Rule = Callable[[Case], bool]
+Rule = Callable[[JudgedCommand], bool]
 
 
-def both_valves_of_a_sleeve(case: Case) -> bool:
+def both_valves_of_a_sleeve(case: JudgedCommand) -> bool:
     """Row 1: both valves of a sleeve are driven at one time. A release that is still to come
     counts."""
     return any(
@@ -72,7 +72,7 @@ def both_valves_of_a_sleeve(case: Case) -> bool:
     )
 
 
-def two_sleeves_of_the_main_box(case: Case) -> bool:
+def two_sleeves_of_the_main_box(case: JudgedCommand) -> bool:
     """Row 2: both commanded, or one commanded while the other is not proven neutral. One that goes
     back to neutral may do so while the other stands before its teeth."""
     driven = {case.limits.main[v].sleeve: v for v in MAIN_VALVES if case.spans[v] is not None}
@@ -86,7 +86,7 @@ def two_sleeves_of_the_main_box(case: Case) -> bool:
     )
 
 
-def slip_out_of_its_window(case: Case) -> bool:
+def slip_out_of_its_window(case: JudgedCommand) -> bool:
     """Row 3: the slip cannot lie in the allowed window at any possible time of contact; at the last
     call, it may lie outside. With the clutch closed the engine can cause any slip, so the rule
     forbids engaging then."""
@@ -98,7 +98,7 @@ def slip_out_of_its_window(case: Case) -> bool:
     )
 
 
-def _slip_can_fit(case: Case, valve: int, span: Span) -> bool:
+def _slip_can_fit(case: JudgedCommand, valve: int, span: Span) -> bool:
     layshaft, main = case.seen.speeds[LAYSHAFT], case.seen.speeds[MAIN]
     if layshaft is None or main is None:
         return True  # row 4 forbids engaging at an unknown speed
@@ -117,7 +117,9 @@ def _slip_can_fit(case: Case, valve: int, span: Span) -> bool:
     )
 
 
-def _braking_s(case: Case, from_us: float, early_us: float, late_us: float) -> tuple[float, float]:
+def _braking_s(
+    case: JudgedCommand, from_us: float, early_us: float, late_us: float
+) -> tuple[float, float]:
     """Least and greatest time (s) for which the brake acts between `from_us`, at which the speed
     was measured, and a contact between `early_us` and `late_us`."""
     limits, brake = case.limits, case.spans[BRAKE]
@@ -130,13 +132,13 @@ def _braking_s(case: Case, from_us: float, early_us: float, late_us: float) -> t
     return max(0.0, least_us) * 1e-6, max(0.0, most_us) * 1e-6
 
 
-def engage_on_unknown_speed(case: Case) -> bool:
+def engage_on_unknown_speed(case: JudgedCommand) -> bool:
     """Row 4: layshaft or main shaft speed stale or invalid."""
     unknown = case.speed(LAYSHAFT) is None or case.speed(MAIN) is None
     return unknown and bool(case.engaging())
 
 
-def brake_against_the_driveline(case: Case) -> bool:
+def brake_against_the_driveline(case: JudgedCommand) -> bool:
     """Row 5: air may come into the brake while a gear is in mesh or the clutch's plates may touch,
     or stay in it beyond the earliest contact of a sleeve that is driven. A release that is still to
     come counts."""
@@ -151,7 +153,7 @@ def brake_against_the_driveline(case: Case) -> bool:
     return in_mesh or meets or not case.is_parted(acts_us)
 
 
-def brake_beyond_its_limits(case: Case) -> bool:
+def brake_beyond_its_limits(case: JudgedCommand) -> bool:
     """Row 6: the brake has been on for too long, has taken too much energy, or would slow the
     layshaft below its lowest allowed speed before it can be released."""
     brake, limits, now_us = case.spans[BRAKE], case.limits, case.seen.now_us
@@ -168,7 +170,7 @@ def brake_beyond_its_limits(case: Case) -> bool:
     return lowest < limits.brake_floor_rad_s
 
 
-def driven_too_long_or_blind(case: Case) -> bool:
+def driven_too_long_or_blind(case: JudgedCommand) -> bool:
     """Row 7: a valve has been on for longer than allowed, or is driven without valid inputs."""
     now_us = case.seen.now_us
     driven = [span for span in case.spans if span is not None]
@@ -176,7 +178,7 @@ def driven_too_long_or_blind(case: Case) -> bool:
     return too_long or (bool(driven) and not case.seen.valid)
 
 
-def range_change_out_of_neutral(case: Case) -> bool:
+def range_change_out_of_neutral(case: JudgedCommand) -> bool:
     """Row 8: the range is changed with the main box not in neutral, or to low range at a speed at
     which the main shaft would turn too fast."""
     if case.spans[RANGE_LOW] is None and case.spans[RANGE_HIGH] is None:
@@ -192,7 +194,7 @@ def range_change_out_of_neutral(case: Case) -> bool:
     return propeller / case.limits.range_ratio[-1] > case.limits.main_max_rad_s
 
 
-def input_overspeed(case: Case) -> bool:
+def input_overspeed(case: JudgedCommand) -> bool:
     """Row 9: the gear, or low split, would turn the input shaft too fast."""
     limits, main, layshaft = case.limits, case.speed(MAIN), case.speed(LAYSHAFT)
     side = _side(case.seen.positions_m[SPLITTER])
@@ -210,7 +212,7 @@ def _side(position_m: float) -> int:
     return 1 if position_m > GUARD_NEUTRAL_M else -1
 
 
-def disengage_under_torque(case: Case) -> bool:
+def disengage_under_torque(case: JudgedCommand) -> bool:
     """Row 10: the teeth of a main or splitter sleeve may be pulled out of mesh before the clutch's
     plates have surely parted, or while the brake loads them."""
     now_us, limits = float(case.seen.now_us), case.limits
@@ -229,7 +231,7 @@ def disengage_under_torque(case: Case) -> bool:
     return any(not case.is_parted(at_us) or gauge_pa > BRAKE_PRESSED_PA for at_us in out_us)
 
 
-def actuation_at_low_supply(case: Case) -> bool:
+def actuation_at_low_supply(case: JudgedCommand) -> bool:
     """Row 11: a valve is newly driven at low supply pressure; one already driven may stay on, and
     what it has set going may be braked."""
     new = any(
@@ -239,7 +241,7 @@ def actuation_at_low_supply(case: Case) -> bool:
     return new and case.seen.supply_pa < case.limits.supply_low_pa
 
 
-def output_before_the_self_test(case: Case) -> bool:
+def output_before_the_self_test(case: JudgedCommand) -> bool:
     """Row 12: a valve is driven by a controller that is not armed, or before the self-test: all
     inputs valid in PROOF_STEPS consecutive steps, the sensor clock settled, and the guard's own
     limits sane."""
@@ -247,7 +249,7 @@ def output_before_the_self_test(case: Case) -> bool:
     return any(case.spans) and not ready
 
 
-def sensor_denies_a_gear(case: Case) -> bool:
+def sensor_denies_a_gear(case: JudgedCommand) -> bool:
     """Row 13: both sleeves are measured in neutral, but a gear turns exactly with its sleeve, so it
     is taken to be in mesh. Brake, range and the other sleeve may not be driven then; the sleeve of
     that gear may."""
@@ -258,7 +260,7 @@ def sensor_denies_a_gear(case: Case) -> bool:
     return any(case.spans[v] is not None for v in (BRAKE, RANGE_LOW, RANGE_HIGH, *others))
 
 
-def moved_without_a_request(case: Case) -> bool:
+def moved_without_a_request(case: JudgedCommand) -> bool:
     """Row 17: a sleeve set going though no gear is asked for that is not in already. One that
     stands before a gear's teeth may be brought back to neutral."""
     if all(case.brings_back(valve) for valve in case.starting()):
@@ -267,7 +269,7 @@ def moved_without_a_request(case: Case) -> bool:
     return wanted is None or case.seen.now_us - wanted[1] > case.limits.request_us
 
 
-def back_and_forth(case: Case) -> bool:
+def back_and_forth(case: JudgedCommand) -> bool:
     """Row 18: splitter or range sent back sooner than a clutch opens and closes. A time that lies
     ahead is of a sensor clock that has restarted since."""
     now_us, last_us = case.seen.now_us, case.state.group_us
@@ -278,13 +280,13 @@ def back_and_forth(case: Case) -> bool:
     )
 
 
-def timed_by_another_clock(case: Case) -> bool:
+def timed_by_another_clock(case: JudgedCommand) -> bool:
     """Row 19: the clock that the commands are timed by is not the sensors' as the guard reads it
     from their stamps: a valve would open at another time than this command was judged for."""
     return any(case.spans) and abs(case.seen.clock_error_us) > CLOCK_ERROR_US
 
 
-def stands_too_long(case: Case) -> bool:
+def stands_too_long(case: JudgedCommand) -> bool:
     """Row 20: a main sleeve has stood between neutral and a gear's teeth for too long, and anything
     is switched on that does not bring it back to neutral."""
     since_us, now_us = case.state.before_teeth_us.values(), case.seen.now_us
@@ -358,14 +360,14 @@ class Guard:
         elif state.latched_by:
             self.blocked_row = state.latched_by
         else:
-            self.blocked_row = self._judge(Case(wished, seen, state, self._limits))
+            self.blocked_row = self._judge(JudgedCommand(wished, seen, state, self._limits))
         if self.blocked_row is not None:
             self.blocks += 1
             wished = NO_SPANS
         self._remember(wished, seen)
         return self.blocked_row is None
 
-    def _judge(self, case: Case) -> int | None:
+    def _judge(self, case: JudgedCommand) -> int | None:
         for row in GUARD_ROWS:
             if row.forbids(case):
                 if row.latches:
@@ -400,13 +402,13 @@ class Guard:
         if gear is not None and gear in self._limits.gear_at.values():
             state.wanted = (gear, seen.now_us)
         if state.wanted is not None and seen.clutch_closed >= CLUTCH_CLOSED_SHARE:
-            in_mesh = Case(NO_SPANS, seen, state, self._limits).gear_number()
+            in_mesh = JudgedCommand(NO_SPANS, seen, state, self._limits).gear_number()
             if seen.valid and in_mesh == state.wanted[0]:
                 state.wanted = None
 
     def _remember(self, wished: Spans, seen: GuardInputs) -> None:
         state, now_us = self._state, seen.now_us
-        case = Case(wished, seen, state, self._limits)
+        case = JudgedCommand(wished, seen, state, self._limits)
         remember_drives(case)
         state.pulls = case.pulling()
         state.group_us |= {valve: now_us for valve in OTHER_END if wished[valve] is not None}

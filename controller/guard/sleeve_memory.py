@@ -3,7 +3,7 @@ was set going, and since when it stands before a gear's teeth."""
 
 from __future__ import annotations
 
-from meshpoint.controller.guard.case import MAIN_VALVES, Case, GuardState
+from meshpoint.controller.guard.case import MAIN_VALVES, GuardState, JudgedCommand
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, GuardLimits
 from meshpoint.controller.guard.view import GuardInputs
 
@@ -40,7 +40,7 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
             state.before_teeth_us.setdefault(sleeve, now_us)
 
 
-def remember_drives(case: Case) -> None:
+def remember_drives(case: JudgedCommand) -> None:
     """Once a command has passed: which main valves have gone off, and from where those that are on
     set their sleeves going."""
     state, stood_m = case.state, {}

@@ -24,7 +24,7 @@ from meshpoint.controller.guard.listening import (
     SLEEVES_AUX,
     SLEEVES_MAIN,
     Engine,
-    GuardEar,
+    GuardReceiver,
 )
 from meshpoint.controller.guard.own_clock import GuardClock, signed_us
 from meshpoint.controller.guard.own_speed import GuardSpeed, ShaftSpeed, TeethCounted
@@ -121,7 +121,7 @@ class GuardView:
         self._shafts = {
             can_id: GuardSpeed(teeth) for can_id, teeth in zip(EDGES, counts, strict=True)
         }
-        self._ear = GuardEar()
+        self._ear = GuardReceiver()
         self._clock = GuardClock()
         self._engine: tuple[int, Engine] = (0, NO_ENGINE)
         self._ahead_us: int | None = None

@@ -171,20 +171,20 @@ class OnlyController(AroundCore[Core]):
 
 
 class CalibrationKeeper(AroundCore[ControllerCore]):
-    """A controller core that hands its calibration out whenever it knows more."""
+    """A controller core that hands its calibration out whenever it calibration_revision more."""
 
     def __init__(self, core: ControllerCore, keep: Keep, written: Callable[[int], str]) -> None:
         """`written` says in words when it is, of the driver's clock in microseconds."""
         super().__init__(core)
         self._keep = keep
         self._written = written
-        self._knows = core.knows
+        self._knows = core.calibration_revision
 
     def step(self, now_us: int) -> Step:
         """The core's step; after it the calibration where more is known."""
         step = self._core.step(now_us)
-        if self._core.knows != self._knows:
-            self._knows = self._core.knows
+        if self._core.calibration_revision != self._knows:
+            self._knows = self._core.calibration_revision
             step.events.extend(self.keep(now_us))
         return step
 

@@ -22,7 +22,7 @@ from meshpoint.controller.plan.strategist import Plan, Strategist
 from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.settings import MS_IN_US, ControllerSettings, ValveTiming
 from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
-from meshpoint.controller.shift.step_snapshot import DrivelineRings, StepSnapshot, TorqueFall
+from meshpoint.controller.shift.step_snapshot import RingingDetector, StepSnapshot, TorqueDecay
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.stroke import Stroke
@@ -120,7 +120,7 @@ class ValveBoard:
         """The command as it stands."""
         return self._commands[valve]
 
-    def say_to(self, sleeves: Sleeves, now_us: int) -> None:
+    def publish_to(self, sleeves: Sleeves, now_us: int) -> None:
         """What is commanded of the main sleeves' valves; what goes off at once takes the bus's
         time."""
         for valve in SLEEVE_VALVE.values():
@@ -211,8 +211,8 @@ class ShiftContext:
         """The guard has kept the clutch from closing in the step before."""
         self.catches_engine = False
         """Between shifts, the engine is asked for the gear's speed so that the clutch may close."""
-        self.torque = TorqueFall()
-        self.rings = DrivelineRings(sheet)
+        self.torque = TorqueDecay()
+        self.rings = RingingDetector(sheet)
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""
@@ -326,9 +326,9 @@ class ShiftContext:
         slip_rad_s = snapshot.speeds.slip_rad_s(gear)
         return slip_rad_s is not None and self.settings.guard.is_outside(slip_rad_s)
 
-    def tell_sleeves(self, now_us: int) -> None:
+    def notify_actuators(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""
-        self.board.say_to(self.sleeves, now_us)
+        self.board.publish_to(self.sleeves, now_us)
 
     def all_off(self, now_us: int) -> None:
         """Switches all valves off now, and enters the brake's release in the filter's input."""

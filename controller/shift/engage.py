@@ -132,7 +132,7 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     shift, gear = context.running, snapshot.view.main_gear
     if snapshot.now_us == context.since_us:
         context.board.off(SLEEVE_VALVE[shift.target.main])
-        context.tell_sleeves(snapshot.now_us)
+        context.notify_actuators(snapshot.now_us)
     context.clutch = ClutchAction.OPEN
     if gear is shift.target.main and context.main_valves_rest(snapshot.now_us):
         # A sleeve that stood on a tooth may go in while its pressure falls.

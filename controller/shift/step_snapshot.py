@@ -87,7 +87,7 @@ class StepSnapshot:
         return self.now_us + BUS_US + self.more_lead_us
 
 
-class DrivelineRings:
+class RingingDetector:
     """Learned from the main shaft's speed in neutral, from when the old gear is out until the
     sleeve is fired for the new one."""
 
@@ -119,7 +119,7 @@ class DrivelineRings:
         return float(np.sqrt(squares.sum() / (len(speed) - line.shape[1])))
 
 
-class TorqueFall:
+class TorqueDecay:
     """The engine's torque as it says it to be, and what will be left of it."""
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from meshpoint.controller.core.carry_over import Follower
+from meshpoint.controller.core.carry_over import ReplayEstimator
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.estimate.brake_model import BrakeModel
 from meshpoint.controller.settings.header import RunHeader
@@ -116,7 +116,7 @@ class OpenLoop:
         self._core: ControllerCore | None = None
         self._consumed: list[Frame] = []
         self._settings = ControllerSettings()
-        self._follower: Follower | None = None
+        self._follower: ReplayEstimator | None = None
         self._branch: _Branch | None = None
         self._session = -1
         self._strayed: int | None = None
@@ -138,7 +138,7 @@ class OpenLoop:
         self._session += 1
         other = self._change(header)
         self._settings, self._errors, self._strayed = other.settings, errors, None
-        self._follower = Follower(other) if estimates_differ(header, other) else None
+        self._follower = ReplayEstimator(other) if estimates_differ(header, other) else None
 
     def end(self) -> None:
         """The session, or what can be repeated of it, has ended."""
@@ -157,7 +157,7 @@ class OpenLoop:
         was = said(status.step_time_us, sent)
         if self._branch is None and (status.state in SHIFTING or was.ended is not None):
             other = self._other(core)
-            self._branch = _Branch(other, status.step_time_us, other.knows[1])
+            self._branch = _Branch(other, status.step_time_us, other.calibration_revision[1])
         if self._branch is not None:
             self._branch.step(status.step_time_us, consumed)
             self._branch.recorded.take(was)
@@ -170,7 +170,7 @@ class OpenLoop:
         if self._follower is None:
             other.change_settings(self._settings)
         else:
-            other.estimate_by(copied(self._follower))
+            other.adopt_estimator(copied(self._follower))
         other.strategy_errors = {}
         return other
 

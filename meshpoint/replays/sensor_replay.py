@@ -229,7 +229,7 @@ class SensorReplay:
         gear, before = self._core.observer.view.main_gear, self._gear
         self._gear = gear
         if gear not in (before, None, MainGear.NEUTRAL):
-            self._core.engaged_by_another(gear)
+            self._core.note_external_engagement(gear)
 
     def _step_asked(self, now_us: int) -> None:
         if self._asked is None:

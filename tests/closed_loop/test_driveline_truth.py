@@ -36,14 +36,14 @@ from meshpoint.units import RPM
 
 TRUCK12 = load_sheet("truck12")
 OPEN, CLOSE = ClutchAction.OPEN, ClutchAction.CLOSE
-Wish = Callable[[int], tuple[ClutchAction, float | None, ValveName | None]]
+ValveRequest = Callable[[int], tuple[ClutchAction, float | None, ValveName | None]]
 """Clutch, engine speed in rpm and sleeve valve that are commanded so long (us) after going mad."""
 
 
 class MadCore(ControllerCore):
     """From a moment on it commands what `wish` says; the guard may be blind to it."""
 
-    def __init__(self, header: RunHeader, wish: Wish, guarded: bool) -> None:
+    def __init__(self, header: RunHeader, wish: ValveRequest, guarded: bool) -> None:
         super().__init__(header)
         self.wish = wish
         self.mad_us: int | None = None
@@ -89,7 +89,7 @@ class Deed:
 
     name: str
     row: int
-    wish: Wish
+    wish: ValveRequest
     harm: Callable[[Loop], bool]
     gear: int = 5
     lasts_us: int = 3_000_000

@@ -8,7 +8,7 @@ from typing import Any
 from loop_bench import Loop, Tapped
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Follower
+from meshpoint.controller.core.carry_over import ReplayEstimator
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.frame import Frame
@@ -21,7 +21,7 @@ class Followed(Tapped):
 
     def __init__(self, core: ControllerCore) -> None:
         super().__init__(core)
-        self.follower = Follower(core.header)
+        self.follower = ReplayEstimator(core.header)
         self.knew: list[tuple[tuple[Any, ...], tuple[Any, ...]]] = []
         self.waiting: list[Frame] = []
 
@@ -66,7 +66,7 @@ def test_a_follower_by_the_same_settings_knows_what_the_controller_knows() -> No
     assert followed.knew[-1][0][2] is not None
     other = followed.follower
     assert core.observer is not other.observer
-    core.estimate_by(other)
+    core.adopt_estimator(other)
     assert core.observer is other.observer
     loop.run(1_650_000)
     known = loop.last(ControllerStatus).reference_known

@@ -7,7 +7,7 @@ import pytest
 
 from meshpoint.campaigns.draw import draw, upshifts
 from meshpoint.campaigns.loop import ClosedLoop
-from meshpoint.controller.estimate.loaded_driveline import BehindState
+from meshpoint.controller.estimate.loaded_driveline import DrivelineMotion
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -18,7 +18,7 @@ LEARNED = 2
 SEEDS = range(3_900_000_000, 3_900_000_004)
 
 
-def released(seed: int) -> list[tuple[BehindState, float]]:
+def released(seed: int) -> list[tuple[DrivelineMotion, float]]:
     """What was known of a typical gearbox's driveline as its gears came out, and how fast the
     vehicle was; the first shifts learn."""
     drawn = draw(seed, SHEET, Preset.TRUCK, upshifts(), SHIFTS, {}, Profile.TYPICAL)

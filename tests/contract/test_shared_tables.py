@@ -171,7 +171,7 @@ def test_the_guard_hears_what_the_codec_says(shares: tuple[float, ...], stamp: i
     sleeves = [0.04 * share - 0.02 for share in shares[:4]]
     pressures = [share * 1.3107e6 for share in shares[:2]]
     engine, bench = Transmitter(Node.ENGINE), Transmitter(Node.BENCH)
-    io, ear = Transmitter(Node.GEARBOX_IO), guard_ear.GuardEar()
+    io, ear = Transmitter(Node.GEARBOX_IO), guard_ear.GuardReceiver()
     frames = [
         io.encode(SleevesMain(stamp, 0, (sleeves[0],) + (0.0,) * 9, (sleeves[1],) + (0.0,) * 9)),
         io.encode(SleevesAux(stamp, 2, (sleeves[2],) + (0.0,) * 9, (sleeves[3],) + (0.0,) * 9)),

@@ -171,7 +171,7 @@ class Box:
 
     def _command(self) -> None:
         """Sends what is commanded: it takes effect after the bus and the valve's delay."""
-        self.sequence.tell_sleeves(self.now_us)
+        self.sequence.notify_actuators(self.now_us)
         arrives_us = self.now_us + BUS_US
         for valve, spool in self.spools.items():
             times = range(arrives_us, arrives_us + self.tick_us, SPOOL_US)

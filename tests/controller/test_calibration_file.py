@@ -24,7 +24,7 @@ class Learner:
     next_step_us = 5
 
     def __init__(self) -> None:
-        self.knows, self.got = (0, 0), list[Any]()
+        self.calibration_revision, self.got = (0, 0), list[Any]()
 
     def receive(self, frame: Any) -> None:
         self.got.append(frame)
@@ -36,7 +36,7 @@ class Learner:
         return Step(["frame"], [f"end {now_us}"])  # type: ignore[list-item]
 
     def calibration(self, written: str) -> Any:
-        return self.knows, written
+        return self.calibration_revision, written
 
 
 def kept_by(answers: list[str | None]) -> tuple[Learner, CalibrationKeeper, list[Any]]:
@@ -53,10 +53,10 @@ def kept_by(answers: list[str | None]) -> tuple[Learner, CalibrationKeeper, list
 def test_a_calibration_is_kept_after_each_step_that_knows_more() -> None:
     core, keeper, kept = kept_by([None, "disk full"])
     assert keeper.step(1).events == ["step 1"]
-    core.knows = (1, 0)
+    core.calibration_revision = (1, 0)
     assert keeper.step(2).events == ["step 2"]
     assert keeper.step(3).events == ["step 3"]
-    core.knows = (1, 4)
+    core.calibration_revision = (1, 4)
     assert keeper.step(4).events == ["step 4", "disk full"]
     assert kept == [((1, 0), "at 2"), ((1, 4), "at 4")]
 

@@ -10,7 +10,7 @@ from test_lash import Truth, a_lash
 
 from meshpoint.controller.estimate import lash_cloud
 from meshpoint.controller.estimate.lash import LashStart
-from meshpoint.controller.estimate.lash_cloud import LashCloud
+from meshpoint.controller.estimate.lash_cloud import BacklashParticleFilter
 from meshpoint.kernels.records import Vector
 
 TOOTH_RAD = 5e-4
@@ -30,7 +30,7 @@ def draws() -> list[Vector]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lash_cloud, "resampled", noted)
         lash = a_lash()
-        cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+        cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
         cloud.take(Truth(lash, 3, TOOTH_RAD).edges, TOOTH_RAD)
     assert len(spread_by) >= LEAST_DRAWS
     return spread_by

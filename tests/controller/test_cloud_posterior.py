@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from test_lash import a_lash
 
 from meshpoint.controller.estimate.lash import Lash, LashStart
-from meshpoint.controller.estimate.lash_cloud import LashCloud
+from meshpoint.controller.estimate.lash_cloud import BacklashParticleFilter
 from meshpoint.controller.models.backlash import ANGLE, SPEED, VEHICLE, WAY, move
 from meshpoint.kernels.records import Vector
 
@@ -41,7 +41,7 @@ def test_one_look_corrects_and_weighs_each_driveline_as_the_textbook_has_it(
     seconds: float, off_rad: float, edges: int
 ) -> None:
     lash = a_lash()
-    x, cloud = lash.cloud(START), LashCloud(lash, START, EDGE_TIME_S)
+    x, cloud = lash.cloud(START), BacklashParticleFilter(lash, START, EDGE_TIME_S)
     move(x, seconds, lash.model(START.speed_rad_s))
     seen_rad = float(x[ANGLE].mean()) + off_rad
     times = 1e6 * seconds + EDGES_US * (np.arange(edges) - 0.5 * (edges - 1))

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from meshpoint.controller.measure.gearbox_view import ClutchTrack
-from meshpoint.controller.shift.step_snapshot import TorqueFall
+from meshpoint.controller.shift.step_snapshot import TorqueDecay
 from meshpoint.gearbox import load_sheet
 
 TRUCK12 = load_sheet("truck12")
@@ -47,7 +47,7 @@ def test_of_a_clutch_that_does_not_open_nothing_is_said(track: ClutchTrack) -> N
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_torque_left_follows_the_engines_lag(sign: float) -> None:
-    fall, lag_s = TorqueFall(), 0.06
+    fall, lag_s = TorqueDecay(), 0.06
     for k in range(2):
         fall.take(k * TICK_US, sign * 0.4 * math.exp(-k * 0.01 / lag_s))
     left = fall.left_in(0.065)
@@ -56,14 +56,14 @@ def test_the_torque_left_follows_the_engines_lag(sign: float) -> None:
 
 def test_a_torque_that_does_not_fall_stays() -> None:
     for before, now in ((0.3, 0.3), (0.3, 0.31), (-0.1, 0.2), (0.0, 0.0), (0.0, 0.1)):
-        fall = TorqueFall()
+        fall = TorqueDecay()
         fall.take(0, before)
         fall.take(TICK_US, now)
         assert fall.left_in(0.1) == now
 
 
 def test_a_torque_that_nobody_says_is_none() -> None:
-    fall = TorqueFall()
+    fall = TorqueDecay()
     fall.take(0, None)
     assert fall.left_in(0.1) is None
     fall.take(TICK_US, 0.3)
@@ -74,7 +74,7 @@ def test_a_torque_that_nobody_says_is_none() -> None:
 def test_the_engines_acceleration_is_not_taken_over_a_pause() -> None:
     """After a pause in what the engine says nobody knows what it did meanwhile: the guard, which
     takes the speeds anew as well, would forbid what was asked for by it."""
-    fall = TorqueFall()
+    fall = TorqueDecay()
     for k in range(6):
         fall.take(k * TICK_US, 0.3, speed_rad_s=100.0 + k)
     assert fall.engine_rad_s2 == pytest.approx(100.0)
@@ -89,7 +89,7 @@ def test_the_engines_acceleration_is_not_taken_over_a_pause() -> None:
 def test_the_engines_acceleration_is_known_at_any_tick(tick_us: int) -> None:
     """The engine says its speed each 10 ms, and every other step comes half a millisecond late. Red
     before: at 20 ms that was a pause."""
-    fall, heard_us = TorqueFall(), -1
+    fall, heard_us = TorqueDecay(), -1
     for step in range(40):
         now_us, said_us = step * tick_us + 500 * (step % 2), step * tick_us // 10_000 * 10_000
         speed = 100.0 + 100e-6 * said_us if said_us > heard_us else None

@@ -36,7 +36,15 @@ from guard_cases import (
     speeds,
 )
 
-from meshpoint.controller.guard.case import NO_SPANS, Case, GuardState, Span, Wish, decode, spans
+from meshpoint.controller.guard.case import (
+    NO_SPANS,
+    GuardState,
+    JudgedCommand,
+    Span,
+    ValveRequest,
+    decode,
+    spans,
+)
 from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import (
     GUARD_ROWS,
@@ -72,7 +80,7 @@ def test_switching_off_is_always_allowed(how: ValveAction) -> None:
 def span_of(action: ValveAction, ahead_us: int, was: Span | None) -> Span | None:
     actions = (int(action),) + (0,) * 8
     times = ((NOW + ahead_us) & 0xFFFF_FFFF,) + (0,) * 8
-    return spans(Wish(actions, times), (was, *NO_SPANS[1:]), NOW)[0]
+    return spans(ValveRequest(actions, times), (was, *NO_SPANS[1:]), NOW)[0]
 
 
 def test_a_span_goes_from_activation_to_release() -> None:
@@ -414,7 +422,7 @@ def test_row_3_leaves_a_lost_speed_to_row_4() -> None:
     """Asked by itself it has nothing to say: each row forbids its own."""
     seen = NEUTRAL._replace(speeds=(None, None, None, None))
     driven = (*NO_SPANS[:4], Span(NOW, FOREVER), *NO_SPANS[5:])
-    assert not slip_out_of_its_window(Case(driven, seen, GuardState(), LIMITS))
+    assert not slip_out_of_its_window(JudgedCommand(driven, seen, GuardState(), LIMITS))
 
 
 @pytest.mark.parametrize(("gained_us", "row"), [(2_000, None), (-50_000, None), (2_001, 12)])

@@ -17,7 +17,7 @@ from meshpoint.controller.guard.listening import (
     VALVE_STATUS,
     Channel,
     Edges,
-    GuardEar,
+    GuardReceiver,
     Slow,
 )
 from meshpoint.controller.guard.view import GuardInputs
@@ -111,7 +111,7 @@ def test_a_channel_is_lost_after_40_ms(silent_us: int, is_valid: bool) -> None:
 
 
 def test_a_channel_that_was_lost_needs_three_good_frames_again() -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     found = []
     for cycle in range(10):
         now_us = 10_000 * cycle + (100_000 if cycle >= 5 else 0)
@@ -126,7 +126,7 @@ def test_a_channel_that_was_lost_needs_three_good_frames_again() -> None:
 def test_all_needed_channels_must_be_heard_and_no_sensor_faulty() -> None:
     needed = (SENSORS, SLEEVES_MAIN, SLEEVES_AUX, VALVE_STATUS)
     for missing in (*needed, None):
-        ear = GuardEar()
+        ear = GuardReceiver()
         for counter in range(3):
             ear.take([frame(each, counter) for each in needed if each != missing], 0)
         assert ear.hears_all is (missing is None)
@@ -139,7 +139,7 @@ def test_all_needed_channels_must_be_heard_and_no_sensor_faulty() -> None:
 
 
 def test_frames_with_short_identifiers_are_of_somebody_else() -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     other = frame(SENSORS, 0)._replace(is_extended=False)
     assert ear.take([other], 0) == []
     assert ear.take([other, frame(SENSORS, 0, 7)], 0) == [7]
@@ -149,7 +149,7 @@ def test_frames_with_short_identifiers_are_of_somebody_else() -> None:
 @pytest.mark.parametrize("byte", [8, 14, 26, 28, 34, 46])
 def test_a_position_beyond_20_mm_is_none(byte: int, sign: int) -> None:
     """The newest of each sleeve, the one 3 ms before it and the oldest."""
-    ear = GuardEar()
+    ear = GuardReceiver()
     assert ear.take([frame(SLEEVES_MAIN, 0, 5, {byte: sign * 20_000})], 0) == [5]
     assert ear.take([frame(SLEEVES_MAIN, 1, 6, {byte: sign * 20_001})], 0) == []
     assert ear.slow[SLEEVES_MAIN].time_us == 5
@@ -159,7 +159,7 @@ def test_a_position_beyond_20_mm_is_none(byte: int, sign: int) -> None:
 
 
 def test_a_sleeves_speed_is_taken_over_3_ms_and_over_the_whole_frame() -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     positions = {8: 900, 14: 600, 26: 450, 28: -300, 34: 300, 46: 60}
     ear.take([frame(SLEEVES_MAIN, 0, 5, positions)], 0)
     assert ear.slow[SLEEVES_MAIN].means_m_s == pytest.approx((0.05, -0.04))
@@ -168,7 +168,7 @@ def test_a_sleeves_speed_is_taken_over_3_ms_and_over_the_whole_frame() -> None:
 
 
 def test_pressures_and_the_clutch() -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     assert ear.take([frame(SENSORS, 0, 5, {7: 3, 9: 50_000, 13: 2_500})], 0) == [5]
     assert ear.slow[SENSORS].values == pytest.approx((60.0, 1e6, 0.25))
     assert ear.clutch == [(5, 0.25)]
@@ -193,7 +193,7 @@ def edges_frame(counter: int, shape: int, stamp: int = 9, index: int = 500) -> F
      (27 | 0x80, 0)],
 )  # fmt: skip
 def test_edges_are_used_where_all_of_them_can_be_placed(shape: int, count: int | None) -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     found = ear.take([edges_frame(0, shape)], 0)
     assert found == ([] if count is None else [9])
     lows = tuple(1_000 - k for k in range(count or 0))
@@ -204,7 +204,7 @@ def test_edges_are_used_where_all_of_them_can_be_placed(shape: int, count: int |
 
 
 def test_an_ear_begins_with_nothing() -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     assert (ear.edges, ear.engine, ear.clutch, ear.requested_gear) == ({}, [], [], None)
     assert not ear.has_restarted
     ear.take([edges_frame(0, 0)], 0)
@@ -212,7 +212,7 @@ def test_an_ear_begins_with_nothing() -> None:
 
 
 def test_sensors_have_started_anew_where_an_array_gets_emptier() -> None:
-    ear, found = GuardEar(), []
+    ear, found = GuardReceiver(), []
     for counter, shape in enumerate((3, 3, 5, 5 | 0x20, 4, 4)):
         ear.take([edges_frame(counter, shape)], 0)
         found.append(ear.has_restarted)
@@ -228,14 +228,14 @@ def test_edges_of_a_step_from_before_the_sensors_started_anew_are_left_out(
     shape: int, stamp: int
 ) -> None:
     """They are told by an array that got emptier, or by a time that went back."""
-    ear = GuardEar()
+    ear = GuardReceiver()
     ear.take([edges_frame(0, 3, 30)], 0)
     ear.take([edges_frame(1, 4, 50), edges_frame(2, shape, stamp), edges_frame(3, 5, 70)], 0)
     assert [edges.time_us for edges in ear.edges[MAIN_EDGES]] == [stamp, 70]
 
 
 def test_a_clock_has_been_set_back_where_a_stamp_is_before_the_last_of_its_message() -> None:
-    ear = GuardEar()
+    ear = GuardReceiver()
     two = [frame(SENSORS, 0, 100), frame(VALVE_STATUS, 0, 50)]
     assert ear.take(two, 0) == [100, 50]  # each has its own
     assert not ear.has_restarted
@@ -248,7 +248,7 @@ def test_a_clock_has_been_set_back_where_a_stamp_is_before_the_last_of_its_messa
 @pytest.mark.parametrize("back_us", [0, 7, 20_000])
 def test_times_go_on_where_their_32_bits_begin_anew(back_us: int) -> None:
     """Those of a step may go back and forth over it, each message's own only on."""
-    ear, turn = GuardEar(), 1 << 32
+    ear, turn = GuardReceiver(), 1 << 32
     assert ear.take([frame(SENSORS, 0, turn - 6)], 0) == [turn - 6]
     heard = ear.take([frame(SENSORS, 1, 4), frame(VALVE_STATUS, 0, turn - 6 - back_us)], 0)
     assert heard == [turn + 4, turn - 6 - back_us]
@@ -266,7 +266,7 @@ def j1939(can_id: int, **at: int) -> Frame:
 
 def test_the_engine_and_the_gear_asked_for() -> None:
     """0.125 rpm and 1 % a step; from FB00 and FB on there is no value."""
-    ear, rpm = GuardEar(), math.pi / 30.0
+    ear, rpm = GuardReceiver(), math.pi / 30.0
     ear.take([j1939(ENGINE, b3=0x00, b4=0x10, b2=125 + 40), j1939(GEAR_REQUEST, b2=125 + 10)], 0)
     assert ear.engine == [(pytest.approx(512.0 * rpm), pytest.approx(0.4))]
     assert ear.requested_gear == 10

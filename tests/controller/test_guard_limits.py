@@ -12,11 +12,11 @@ import pytest
 from meshpoint.controller.guard.case import (
     MAIN_VALVES,
     NO_SPANS,
-    Case,
     GuardState,
+    JudgedCommand,
     Span,
     Spans,
-    Wish,
+    ValveRequest,
     spans,
 )
 from meshpoint.controller.guard.limits import (
@@ -102,9 +102,9 @@ def inputs(**changes: Any) -> GuardInputs:
 
 
 def case(driven: dict[int, Span] | None = None, state: GuardState | None = None,
-         **changes: Any) -> Case:  # fmt: skip
+         **changes: Any) -> JudgedCommand:  # fmt: skip
     asked: Spans = tuple((driven or {}).get(valve) for valve in range(9)) if driven else NO_SPANS
-    return Case(asked, inputs(**changes), state or GuardState(), limits())
+    return JudgedCommand(asked, inputs(**changes), state or GuardState(), limits())
 
 
 DRIVEN = Span(NOW_US, 1 << 62)
@@ -262,19 +262,19 @@ def test_teeth_are_out_in_neutral_when_pulled_clear_or_fast_enough() -> None:
 
 
 def test_a_span_begins_where_its_valve_was_first_driven() -> None:
-    on_now = Wish((1, *[0] * 8), (0,) * 9)
+    on_now = ValveRequest((1, *[0] * 8), (0,) * 9)
     (first, *_) = spans(on_now, NO_SPANS, NOW_US)
     assert first == Span(NOW_US, 1 << 62)
     before: Spans = (Span(NOW_US, NOW_US + 5), *NO_SPANS[1:])
     assert spans(on_now, before, NOW_US)[0] == Span(NOW_US, 1 << 62)
     assert spans(on_now, before, NOW_US + 5)[0] == Span(NOW_US + 5, 1 << 62)
-    on_at = Wish((3, *[0] * 8), (NOW_US + 100,) + (0,) * 8)
+    on_at = ValveRequest((3, *[0] * 8), (NOW_US + 100,) + (0,) * 8)
     assert spans(on_at, before, NOW_US)[0] == Span(NOW_US, 1 << 62)
     assert spans(on_at, NO_SPANS, NOW_US)[0] == Span(NOW_US + 100, 1 << 62)
     late: Spans = (Span(NOW_US + 9, 1 << 62), *NO_SPANS[1:])
     assert spans(on_now, late, NOW_US)[0] == Span(NOW_US, 1 << 62)
     with pytest.raises(ValueError, match="argument"):
-        spans(Wish((1,) * 9, (0,) * 8), NO_SPANS, NOW_US)
+        spans(ValveRequest((1,) * 9, (0,) * 8), NO_SPANS, NOW_US)
 
 
 def test_a_guard_begins_armed_and_cool_and_every_sleeve_valve_begins_to_be_driven() -> None:

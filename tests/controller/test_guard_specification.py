@@ -10,7 +10,14 @@ import pytest
 from guard_cases import kept
 
 from meshpoint.controller.guard import rules
-from meshpoint.controller.guard.case import NO_SPANS, Case, GuardState, Span, Spans, Wish
+from meshpoint.controller.guard.case import (
+    NO_SPANS,
+    GuardState,
+    JudgedCommand,
+    Span,
+    Spans,
+    ValveRequest,
+)
 from meshpoint.controller.guard.limits import (
     CLUTCH_CLOSED_SHARE,
     GUARD_NEUTRAL_M,
@@ -62,7 +69,7 @@ ROUND = dataclasses.replace(
 
 def case(driven: dict[int, Span] | None = None, state: GuardState | None = None,
          rad_s: tuple[float | None, ...] = (None, 64.0, 32.0, 32.0), measured_us: int = NOW,
-         **changes: Any) -> Case:  # fmt: skip
+         **changes: Any) -> JudgedCommand:  # fmt: skip
     spans: Spans = tuple((driven or {}).get(valve) for valve in range(9)) if driven else NO_SPANS
     speeds = tuple(None if w is None else ShaftSpeed(measured_us, w) for w in rad_s)
     values: dict[str, Any] = {
@@ -71,7 +78,7 @@ def case(driven: dict[int, Span] | None = None, state: GuardState | None = None,
         "positions_us": NOW, "clutch_us": NOW,
     }  # fmt: skip
     seen = GuardInputs(speeds=speeds, **(values | changes))  # type: ignore[arg-type]
-    return Case(spans, seen, state or GuardState(), ROUND)
+    return JudgedCommand(spans, seen, state or GuardState(), ROUND)
 
 
 def on(since_us: int = NOW, until_us: int = FOREVER) -> Span:
@@ -85,7 +92,7 @@ def test_row_2_the_other_sleeve_exactly_at_the_edge_of_neutral() -> None:
 
 
 def slip_case(slip: float, brake: Span | None = None, brake_off_us: int = -FOREVER,
-              layshaft: float = 64.0, measured_us: int = NOW) -> Case:  # fmt: skip
+              layshaft: float = 64.0, measured_us: int = NOW) -> JudgedCommand:  # fmt: skip
     """Second gear, ratio 1/2, is met 0.25 to 0.75 s from now."""
     driven = {SECOND: on()} | ({} if brake is None else {BRAKE: brake})
     main = 0.5 * layshaft - slip
@@ -347,7 +354,7 @@ def test_a_guard_whose_decoder_is_wrong_is_never_proven(
     always: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert Guard(ROUND, armed=True)._is_sound
-    wish = Wish((1 if always else 0,) * 9, (0,) * 9)
+    wish = ValveRequest((1 if always else 0,) * 9, (0,) * 9)
     monkeypatch.setattr(rules, "decode", lambda payload: wish)
     guard = Guard(ROUND, armed=True)
     for _ in range(9):

@@ -21,7 +21,7 @@ from guard_sleeve_cases import (
     standing,
 )
 
-from meshpoint.controller.guard.case import NO_SPANS, Case, GuardState, Span
+from meshpoint.controller.guard.case import NO_SPANS, GuardState, JudgedCommand, Span
 from meshpoint.controller.guard.rules import Guard
 
 # -- how long it may stand there -------------------------------------------------------------
@@ -242,7 +242,7 @@ def test_one_that_was_pushed_and_called_back_may_be_anywhere_up_to_before_the_te
     for late_ms, early_ms in ((10.0, 22.317), (2.9, 40.0)):
         assert row(guard, at(40, late_ms=late_ms)) is None
         spans = (*NO_SPANS[:SECOND], span, *NO_SPANS[SECOND + 1 :])
-        judged = Case(spans, at(40, late_ms=late_ms), kept(guard), LIMITS)
+        judged = JudgedCommand(spans, at(40, late_ms=late_ms), kept(guard), LIMITS)
         early_us, late_us = judged.contact_us(SECOND, span)
         assert early_us == pytest.approx(span.start_us + 1e3 * early_ms, abs=1.0)
         assert late_us == pytest.approx(span.start_us + 50_000.0)
@@ -254,7 +254,7 @@ def test_where_a_sleeve_stood_is_kept_once_its_valve_may_have_moved_it() -> None
     for late_ms, early_ms in ((17.9, 40.0), (18.0, 23.5)):
         span = Span(NOW - 25_000, 1 << 62)
         seen = at(0.0, 4.375, late_ms=late_ms)
-        judged = Case((*NO_SPANS[:4], span, *NO_SPANS[5:]), seen, state, LIMITS)
+        judged = JudgedCommand((*NO_SPANS[:4], span, *NO_SPANS[5:]), seen, state, LIMITS)
         early_us, _ = judged.contact_us(SECOND, span)
         assert early_us == pytest.approx(span.start_us + 1e3 * early_ms, abs=1e-3)
 

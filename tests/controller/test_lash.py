@@ -17,11 +17,16 @@ from meshpoint.controller.estimate.lash import (
     VehicleTrajectory,
 )
 from meshpoint.controller.estimate.lash_cloud import (
-    LashCloud,
+    BacklashParticleFilter,
     spread,
 )
-from meshpoint.controller.estimate.loaded_driveline import BehindState
-from meshpoint.controller.estimate.main_tracker import AHEAD_US, LashRivals, MainTracker, Prediction
+from meshpoint.controller.estimate.loaded_driveline import DrivelineMotion
+from meshpoint.controller.estimate.main_tracker import (
+    AHEAD_US,
+    MainTracker,
+    ModelSelector,
+    Prediction,
+)
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.backlash import (
     ANGLE,
@@ -177,7 +182,7 @@ def test_a_promised_probability_is_kept() -> None:
     for seed in range(16):
         lash = a_lash()
         truth, cloud = Truth(lash, seed, tooth_rad), None
-        cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+        cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
         for until_us in (100e3, 160e3, 220e3):
             cloud.take(truth.edges[:, truth.edges[0] <= until_us], tooth_rad)
             trajectory = cloud.trajectory(HALF_GAP_RAD)
@@ -202,7 +207,7 @@ def test_a_cloud_that_has_lost_the_driveline_finds_it_again() -> None:
         truth = Truth(lash, seed, tooth_rad)
         sure = np.diag((0.05, 0.01))
         start = LashStart(0.0, 0.0, 60.0, 66.0, vehicle_root=sure)
-        cloud = LashCloud(lash, start, 1e-6)
+        cloud = BacklashParticleFilter(lash, start, 1e-6)
         cloud.take(truth.edges[:, truth.edges[0] <= 300e3], tooth_rad)
         off.append(abs(cloud.mean(ANGLE) - truth.angle_at(cloud.time_us)))
     assert np.median(off) < HALF_GAP_RAD
@@ -213,9 +218,11 @@ def test_a_cloud_that_begins_anew_keeps_the_vehicle_that_was_found_in_gear() -> 
     found to go."""
     lash = a_lash()
     mean = RATIO * np.array((0.0, 60.0, 0.0, 60.0, 0.0))
-    behind = BehindState(mean, np.diag((0.01, 0.1, 1e-3, 0.1, 0.1)), RATIO * lash.known.half.value)
+    behind = DrivelineMotion(
+        mean, np.diag((0.01, 0.1, 1e-3, 0.1, 0.1)), RATIO * lash.known.half.value
+    )
     passed = EDGE_RAD / 2.0 * np.arange(1, 80)
-    cloud = LashCloud(lash, LashStart(0.0, 0.0, 75.0, 75.0, behind=behind), 1e-6)
+    cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, 75.0, 75.0, behind=behind), 1e-6)
     cloud.take(np.array((passed / 60e-6, passed)), 1e-3)
     assert cloud.mean(SPEED) == pytest.approx(60.0, abs=1.0)
     vehicle = cloud.vehicle
@@ -234,7 +241,7 @@ def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
         angle = trajectory_of(x, lash.model(60.0), 1e-3, 300)
         passed = EDGE_RAD / 2.0 * np.arange(1, int(angle[-1] / EDGE_RAD * 2.0))
         edges = np.array((np.interp(passed, angle, 1e3 * np.arange(300)), passed))
-        cloud = LashCloud(lash, LashStart(0.0, 0.0, float(x[SPEED, 0]), 60.0), 1e-6)
+        cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, float(x[SPEED, 0]), 60.0), 1e-6)
         cloud.take(edges, 1e-3)
         lash.learn(cloud.log_figure)
     reported = (lash.known.half.log - before.log) / math.log(1.6)
@@ -245,7 +252,7 @@ def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
 
 def test_what_is_not_a_number_leaves_no_trajectory() -> None:
     lash = a_lash()
-    cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+    cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
     cloud.take(np.array([[1e3], [math.nan]]), 1e-3)
     assert not cloud.is_alive and cloud.trajectory(HALF_GAP_RAD) is None
     known = lash.known
@@ -257,7 +264,7 @@ def test_the_same_edges_give_the_same_cloud() -> None:
     lash = a_lash()
     truth, trajectories = Truth(lash, 7, 2e-3), []
     for _ in range(2):
-        cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+        cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
         cloud.take(truth.edges, 2e-3)
         trajectory = cloud.trajectory(HALF_GAP_RAD)
         assert trajectory is not None
@@ -268,7 +275,7 @@ def test_the_same_edges_give_the_same_cloud() -> None:
 def test_what_will_be_known_is_never_less() -> None:
     lash = a_lash()
     truth = Truth(lash, 3, 2e-3)
-    cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+    cloud = BacklashParticleFilter(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
     cloud.take(truth.edges[:, truth.edges[0] < 80e3], 2e-3)
     trajectory = cloud.trajectory(HALF_GAP_RAD)
     assert trajectory is not None
@@ -279,7 +286,7 @@ def test_what_will_be_known_is_never_less() -> None:
 
 def test_a_backlash_that_was_believed_is_doubted_only_where_it_is_no_likelier_any_more() -> None:
     """Windows that speak for it a little less each do not take it back."""
-    rivals = LashRivals()
+    rivals = ModelSelector()
     edges = np.array([[0.0, AHEAD_US, 2.0 * AHEAD_US], [1.0, 1.0, 1.0]])
     near, fair, far = Prediction(1.0, 0.01), Prediction(1.0, 0.014), Prediction(1.2, 0.05)
     believed = []
@@ -289,7 +296,7 @@ def test_a_backlash_that_was_believed_is_doubted_only_where_it_is_no_likelier_an
             rivals.predict(1e4 * tick, swing, lash)
         rivals.judge(edges, HALF_GAP_RAD)
         rivals.end()
-        believed.append(rivals.believes_lash)
+        believed.append(rivals.lash_is_selected)
     assert believed[2:15] == [True] * 13
     assert not believed[-1]
 
@@ -302,7 +309,7 @@ def test_a_cloud_begins_where_the_driveline_was_found_in_gear(
     lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
     half = lash.shafts.half_lash_rad
     mean, sds = np.array((twist_rad, 15.2, 0.004, 15.0, -0.5)), (0.002, 0.05, 1e-3, 0.02, 0.2)
-    behind = BehindState(mean, np.diag(sds), half)
+    behind = DrivelineMotion(mean, np.diag(sds), half)
     start = LashStart(0.0, 0.0, 60.0, 60.0, behind=behind)
     x = lash.cloud(start)
     for row, k in ((WHEELS, 1), (TYRE, 2), (VEHICLE, 3), (HILL, 4)):

@@ -19,7 +19,7 @@ from meshpoint.controller.estimate.lash import Lash
 from meshpoint.controller.estimate.main_tracker import (
     EACH_US,
     LEAST_WINDOWS,
-    LashRivals,
+    ModelSelector,
     Prediction,
 )
 from meshpoint.controller.models.swing import RATE, STEADY, SWING, SWING_STATES
@@ -187,7 +187,7 @@ EVEN = np.arange(0.0, 400_000.0, 5_000.0)
 GAP_RAD = math.radians(1.0)
 
 
-def judged(rivals: LashRivals, swing: Prediction, lash: Prediction) -> None:
+def judged(rivals: ModelSelector, swing: Prediction, lash: Prediction) -> None:
     """A window of a shaft that stands at 0, in which both predict at each time they are asked."""
     rivals.begin()
     for k in range(0, EVEN.size, 2):
@@ -200,37 +200,37 @@ def judged(rivals: LashRivals, swing: Prediction, lash: Prediction) -> None:
 
 def test_a_backlash_doubted_however_often_is_tried_again_after_four_windows() -> None:
     good, bad = Prediction(0.0, 0.3 * GAP_RAD), Prediction(3.0 * GAP_RAD, 0.3 * GAP_RAD)
-    rivals = LashRivals()
+    rivals = ModelSelector()
     for _ in range(3):
         judged(rivals, good, bad)
     tried = []
     for _ in range(4):
         rivals.begin()
         rivals.end()
-        tried.append(rivals.tries_lash)
+        tried.append(rivals.lash_is_candidate)
     assert tried == [False, False, False, True]
 
 
 def test_backlash_is_believed_after_some_windows_and_forgotten_where_it_fails() -> None:
     good, bad = Prediction(0.0, 0.3 * GAP_RAD), Prediction(3.0 * GAP_RAD, 0.3 * GAP_RAD)
-    rivals = LashRivals()
+    rivals = ModelSelector()
     for window in range(1, 5):
         judged(rivals, bad, good)
-        assert rivals.believes_lash is (window >= LEAST_WINDOWS)
+        assert rivals.lash_is_selected is (window >= LEAST_WINDOWS)
     for _ in range(4):
         judged(rivals, good, bad)
-    assert not rivals.believes_lash
-    assert not rivals.tries_lash
-    other = LashRivals()
+    assert not rivals.lash_is_selected
+    assert not rivals.lash_is_candidate
+    other = ModelSelector()
     other.restore(True)
-    assert other.believes_lash
+    assert other.lash_is_selected
     other.restore(False)
-    assert not other.believes_lash
-    assert other.tries_lash
+    assert not other.lash_is_selected
+    assert other.lash_is_candidate
 
 
 def test_predictions_are_asked_for_one_step_after_another() -> None:
-    rivals = LashRivals()
+    rivals = ModelSelector()
     assert rivals.wants(0.0)
     rivals.predict(0.0, Prediction(0.0, 1.0), Prediction(0.0, 1.0))
     assert not rivals.wants(EACH_US - 1.0)

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from meshpoint.controller.estimate.loaded_driveline import (
     LEAST_S,
-    BehindState,
+    DrivelineMotion,
     Load,
     LoadedDriveline,
     Shafts,
@@ -217,7 +217,7 @@ def follow(drive: Drive, number: int) -> LoadedDriveline:
     return loaded
 
 
-def followed(drive: Drive, number: int) -> BehindState | None:
+def followed(drive: Drive, number: int) -> DrivelineMotion | None:
     return follow(drive, number).behind(drive.end_us)
 
 

@@ -8,14 +8,16 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.shift.step_snapshot import DrivelineRings
+from meshpoint.controller.shift.step_snapshot import RingingDetector
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, load_sheet
 
 STEP_US = 10_000
 
 
-def measurement(rings: DrivelineRings, state: State, now_us: int, main_rad_s: float | None) -> None:
+def measurement(
+    rings: RingingDetector, state: State, now_us: int, main_rad_s: float | None
+) -> None:
     gear = MainGear.NEUTRAL if state is State.SYNCHRONISING else MainGear.FIRST
     snapshot: Any = SimpleNamespace(
         now_us=now_us,
@@ -27,7 +29,7 @@ def measurement(rings: DrivelineRings, state: State, now_us: int, main_rad_s: fl
 
 def seen(swing_rad_s: float, measurements: int = 20) -> bool:
     """A shift in which the shaft slows evenly, and swings with 8 Hz about that."""
-    rings = DrivelineRings(load_sheet("truck12"))
+    rings = RingingDetector(load_sheet("truck12"))
     for step in range(measurements):
         swing = swing_rad_s * math.sin(2.0 * math.pi * 8.0 * step * STEP_US * 1e-6)
         measurement(rings, State.SYNCHRONISING, step * STEP_US, 60.0 - 0.04 * step + swing)
@@ -47,7 +49,7 @@ def test_too_few_measurements_tell_nothing() -> None:
 
 def seen_at(tick_us: int, ends_us: int) -> bool:
     """A shaft that swings widely and is read each 10 ms, by steps of this tick, until then."""
-    rings = DrivelineRings(load_sheet("truck12"))
+    rings = RingingDetector(load_sheet("truck12"))
     for now_us in range(0, ends_us, tick_us):
         read_us = now_us - now_us % 10_000
         speed = 60.0 + 5.0 * math.sin(2.0 * math.pi * 8.0 * read_us * 1e-6)
@@ -64,7 +66,7 @@ def test_what_tells_a_swing_is_reads_however_many_steps_look_at_each(tick_us: in
 
 
 def test_what_once_twisted_twists_for_good() -> None:
-    rings = DrivelineRings(load_sheet("truck12"))
+    rings = RingingDetector(load_sheet("truck12"))
     for shift, swing in enumerate((2.0, 0.0)):
         for step in range(10):
             speed = 60.0 + swing * (-1.0) ** step
