@@ -91,7 +91,9 @@ release: dist sbom
 	@$(BIN)/python tools/release.py lacks || echo "all of it works; before it is released, this has to be done"
 
 # The one command that releases: tags this commit, and the tag's workflow publishes it.
-publish: release
+publish: $(VENV)/release.stamp
+	$(BIN)/python tools/release.py lacks
+	$(MAKE) --no-print-directory release
 	$(BIN)/python tools/release.py tag
 
 # Real processes through the commands alone; some minutes.
