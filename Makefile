@@ -7,13 +7,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dist sbom release publish docs-version dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Packages by the digests of locks/ (tools/lock-packages). --no-compile: of some 100 MB of Python a run
+# Packages by the digests of locks/ (tools/lock-packages), each of which is in one lock alone: two are
+# installed at a time. --no-compile: of some 100 MB of Python a run
 # imports a tenth, and compiles that as it does.
 INSTALL := $(BIN)/python -m pip install --quiet --no-compile --no-deps
 ITSELF := --no-build-isolation -e .
@@ -26,7 +27,8 @@ $(VENV)/run.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt
 
 $(VENV)/test.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt locks/test.txt
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) --require-hashes -r locks/build.txt -r locks/run.txt -r locks/test.txt
+	$(INSTALL) --require-hashes -r locks/test.txt & others=$$!; \
+	    $(INSTALL) --require-hashes -r locks/build.txt -r locks/run.txt && wait $$others
 	$(INSTALL) $(ITSELF)
 	touch $@ $(VENV)/run.stamp
 
@@ -68,18 +70,44 @@ wheel: $(VENV)/test.stamp
 	rm -rf build/lib dist/*.whl
 	$(BIN)/python -m build --no-isolation --wheel --outdir dist
 
+# Source archive and wheel in dist/, looked at.
+dist: $(VENV)/release.stamp
+	rm -rf dist
+	tools/build-dist dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python tools/release.py content dist
+
+# What an installation consists of (CycloneDX), from what pip is to install for it.
+sbom: $(VENV)/release.stamp
+	mkdir -p build/sbom
+	$(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --mc-type library --output-reproducible \
+	    --output-file build/sbom/meshpoint.cdx.json locks/run.txt
+
+# All of a release but publishing it (docs/releasing.md): each of both installed in each Python that is
+# here, every command of README once.
+release: dist sbom
+	for each in dist/*; do PYTHON=$(PYTHON) tools/test-pythons --whole $$each || exit 1; done
+	PYTHON=$(PYTHON) tools/test-installed dist
+	@$(BIN)/python tools/release.py lacks || echo "all of it works; before it is released, this has to be done"
+
+# The one command that releases: tags this commit, and the tag's workflow publishes it.
+publish: release
+	$(BIN)/python tools/release.py tag
+
 # Real processes through the commands alone; some minutes.
 acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
 
 kernels: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(BIN)/python -m meshpoint.bench.compiling
 
 # The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose. Its
 # processor takes this machine's kernels; it would compile for an hour.
+# Neither has it to compile what Python loads: the tests are collected here before.
 # The limit is the last resort against a hang: what is waited for in there is bus time.
 vcan: kernels
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
+	$(BIN)/python -m pytest tests/vcan/test_vcan.py --collect-only -q
 	tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan/test_vcan.py -v --durations=0
 
 # A gearbox that stands, behind the board's firmware, on vcan0: ready, and each output right.
@@ -88,12 +116,14 @@ vcan-stand: kernels
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan/test_stand.py -v --durations=0
 
 # Controller and rig as participants of SIL Kit, in a Python that silkit-py has a wheel for: an
-# environment of its own, and kernels compiled for it once.
+# environment of its own, with the wheel of meshpoint, whose kernels need not be compiled there. Run in
+# tests/, where Python does not find the sources before it.
 SILKIT := $(VENV)-silkit
-silkit:
+silkit: wheel
 	python=$$(PYTHON=$(PYTHON) tools/silkit-python) && \
-	    $(MAKE) --no-print-directory VENV=$(SILKIT) PYTHON=$$python kernels
-	$(SILKIT)/bin/python -m pytest -m "device and not long" tests/silkit
+	    $(MAKE) --no-print-directory VENV=$(SILKIT) PYTHON=$$python $(SILKIT)/test.stamp
+	$(SILKIT)/bin/python -m pip install --quiet --no-compile --no-deps --force-reinstall dist/*.whl
+	cd tests && $(CURDIR)/$(SILKIT)/bin/pytest -o pythonpath= -m "device and not long" silkit
 
 # The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
 controllers: kernels
@@ -102,9 +132,11 @@ controllers: kernels
 	tools/with-vcan --controllers --timeout 5400 \
 	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 
-# with-vcan as other projects have it, and python-can's own SocketCAN tests in it.
+# with-vcan as other projects have it, as a command and as an action, and python-can's own SocketCAN tests
+# in it.
 vcan-alone: $(VENV)/test.stamp
 	tools/vcan/test-with-vcan
+	actions/with-vcan/test
 	tools/vcan/test-python-can $(CURDIR)/$(BIN)/python
 
 # Every figure and table of the thesis, ours beside it, on one page: out/study/studies.html
@@ -178,7 +210,7 @@ types: $(VENV)/test.stamp
 
 # docs/reference/, from the code
 reference: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.help.reference docs/reference
+	$(BIN)/python -m meshpoint.cli.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
 
 # What is made from dbc/meshpoint.dbc and dbc/truck.dbc, after a change of them.
@@ -207,9 +239,18 @@ $(VENV)/docs.stamp: $(VENV)/test.stamp locks/docs.txt
 	$(INSTALL) --require-hashes -r locks/docs.txt
 	touch $@
 
+$(VENV)/release.stamp: $(VENV)/docs.stamp locks/release.txt
+	$(INSTALL) --require-hashes -r locks/release.txt
+	touch $@
+
 # The documentation as a site in build/site. A link that leads nowhere is an error.
 docs: $(VENV)/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
+# The same under a version, beside the others, on the branch gh-pages of this clone.
+docs-version: $(VENV)/release.stamp
+	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases --alias-type copy "$(VERSION)" latest
+	$(BIN)/mike set-default latest
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

@@ -51,7 +51,7 @@ class BuildWithKernels(build_py):
             return
         built = Path(self.build_lib).resolve()
         subprocess.run(  # noqa: S603 (ours)
-            [sys.executable, "-B", "-m", "meshpoint.testbench.loop.compiling", "ship",
+            [sys.executable, "-B", "-m", "meshpoint.bench.compiling", "ship",
              str(built / "meshpoint" / "kernels" / "compiled")],
             env={**os.environ, "PYTHONPATH": str(built)}, cwd=built, check=True,
         )  # fmt: skip

@@ -25,10 +25,10 @@ from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, MainGear
 from meshpoint.kernels.records import Integers, Vector
+from meshpoint.report.layout import BLUE, GREEN, GREY, INK, ORANGE
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.truck.truth import TruckTruth
-from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE
-from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import BAR, DEG, MM
 
 SEED: Final = 4

@@ -16,12 +16,12 @@ import sys
 import time
 from collections.abc import Sequence
 
+from meshpoint.campaigns.draw import upshifts
+from meshpoint.campaigns.run import RunResult, run_many, run_one
+from meshpoint.campaigns.spec import CampaignSpec, Job
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import upshifts
-from meshpoint.testbench.campaign.run import RunResult, run_many, run_one
-from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 
 SEED = 2
 RUNS = 4

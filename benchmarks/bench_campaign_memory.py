@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.bench_campaign import campaign
-from meshpoint.testbench.campaign.columns import FIELDS, ShiftColumns, Shifts
-from meshpoint.testbench.campaign.run import run_one
-from meshpoint.testbench.campaign.spec import SEEDS_APART, CampaignSpec
-from meshpoint.testbench.campaign.store import Store
+from meshpoint.campaigns.columns import FIELDS, ShiftColumns, Shifts
+from meshpoint.campaigns.run import run_one
+from meshpoint.campaigns.spec import SEEDS_APART, CampaignSpec
+from meshpoint.campaigns.store import Store
 
 SHIFTS = 100_000
 STRATEGIES = ("speed_window", "target_phase")
@@ -32,7 +32,7 @@ MADE = 4
 """Runs that are made for it."""
 CHILD = """
 import sys, time
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 code = main(sys.argv[1:])
 status = open("/proc/self/status").read()
 print(status.partition("VmHWM:")[2].split()[0], time.process_time(), file=sys.stderr)

@@ -22,8 +22,8 @@ from pathlib import Path
 import cantools.database
 
 import can  # isort: skip
+from meshpoint.cli.main import main as meshpoint
 from meshpoint.dbc import DBC_PATH
-from meshpoint.testbench.cli import main as meshpoint
 
 SHIFTS = 20
 

@@ -1,6 +1,6 @@
 """The rig as a process on the local bus: start-up, lateness of its 10 ms frames, processor time.
 
-    start-up  from the start of `python -m testbench rig` to its first frame at a listener
+    start-up  from the start of `python -m meshpoint rig` to its first frame at a listener
     lateness  of every GearboxSensors frame at the listener, against the sample time it carries; the
               earliest frame of a window counts as on time. Hub and listener are in it
     core      processor time of the rig's process over wall time

@@ -24,12 +24,12 @@ import meshpoint
 import meshpoint.controller
 import meshpoint.dbc
 from benchmarks.shifts import make_shifts
+from meshpoint.bench.setup import Setup
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.setup import Setup
 
 SEED: Final = 2
 OURS: Final = tuple(

@@ -16,12 +16,12 @@ import sys
 import time
 from collections.abc import Sequence
 
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
 
 WARM_SHIFTS, SHIFTS = 1, 6
 SLICE_US = 30_000

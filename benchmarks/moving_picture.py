@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.abort_picture import SEED, Seen, watched_shift
 from meshpoint.kernels.records import Vector
-from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE
+from meshpoint.report.layout import BLUE, GREEN, GREY, INK, ORANGE
 from meshpoint.units import DEG, MM
 
 WIDTH, HEIGHT = 880, 560

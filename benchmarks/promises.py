@@ -21,13 +21,13 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from benchmarks.shifts import make_shifts
+from meshpoint.bench.setup import Setup
 from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import ControllerState
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.setup import Setup
 
 SHEET: Final = load_sheet("truck12")
 PAIRS: Final = {"low": ((2, 4), (4, 6), (1, 3)), "high": ((8, 10), (10, 12), (7, 9))}

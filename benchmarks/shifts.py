@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from meshpoint.bench.bench import BenchCore, plan_shifts
+from meshpoint.bench.bench_builder import virtual_bench
+from meshpoint.bench.pauses import pauses_of
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 from meshpoint.bus.core import Core
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
-from meshpoint.testbench.loop.bench_builder import virtual_bench
-from meshpoint.testbench.loop.pauses import pauses_of
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 
 
 def make_shifts(setup: Setup, controller: Core) -> None:

@@ -17,6 +17,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.settings import ControllerSettings, Window
 from meshpoint.dbc.frame import Frame
@@ -27,12 +29,10 @@ from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.kernels.records import Vector
+from meshpoint.report.collect import ReportCollector, ReportShift
+from meshpoint.report.layout import BLUE, GREEN, GREY, INK, ORANGE
+from meshpoint.report.phase import true_trajectory
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
-from meshpoint.testbench.report.collect import ReportCollector, ReportShift
-from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE
-from meshpoint.testbench.report.phase import true_trajectory
 from meshpoint.units import DEG, RPM
 
 SEED: Final = 2

@@ -20,12 +20,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.campaigns.spec import SEEDS_APART
 from meshpoint.controller.settings.settings import ControllerSettings, Window
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.spec import SEEDS_APART
 from meshpoint.units import RPM
 
 TUNING_SEED: Final = 100

@@ -46,7 +46,7 @@ outside() {
         say 'this takes about 4 minutes, beside much other work up to 15: the machine is emulated'
         say 'nothing is seen while it boots: a fifth of that time'
         # The emulated processor would compile for an hour; it takes this machine's kernels.
-        "$(dirname -- "$(type -P meshpoint)")/python" -m meshpoint.testbench.loop.compiling
+        "$(dirname -- "$(type -P meshpoint)")/python" -m meshpoint.bench.compiling
         "$here/../tools/with-vcan" --timeout 1800 --keep "$folder" \
             "$here/vcan.sh" "$gear" "$folder"
     fi

@@ -15,7 +15,12 @@ costs next to nothing. The packages:
     meshpoint.dbc          the wire contract; dbc/
     meshpoint.gearbox      the data sheet
     meshpoint.bus          how frames travel
-    meshpoint.testbench    controller and rig on one bench, and the command line
+    meshpoint.bench        controller and rig on one bus
+    meshpoint.cli          the command line
+    meshpoint.run, logs, replays, identify, commission, campaigns, bridges
+                           commands and what they do, by task
+    meshpoint.results, report
+                           what a run gives, and the pages drawn of it
     meshpoint.api          what `import meshpoint` gives
 
 docs/decisions/0012-one-name.md says why three of them lie beside this folder in the repository.

@@ -2,7 +2,7 @@
 
 import sys
 
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

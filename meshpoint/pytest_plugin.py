@@ -184,7 +184,7 @@ def pytest_runtest_makereport(
 
 def _leave(bench: AnyBench, folder: Path) -> list[str]:
     import meshpoint
-    from meshpoint.testbench.results.output import counted
+    from meshpoint.results.output import counted
 
     log = bench.save_log(folder)
     lines = [

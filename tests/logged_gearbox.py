@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from meshpoint.gearbox import Range, Split, load_sheet
+from meshpoint.identify.log_reader import FreeRun, Wheel
+from meshpoint.identify.valve_switches import Switch
 from meshpoint.kernels.records import Vector
-from meshpoint.testbench.identify.log_reader import FreeRun, Wheel
-from meshpoint.testbench.identify.valve_switches import Switch
 from meshpoint.units import RPM, TURN
 
 SHEET = load_sheet("truck12")

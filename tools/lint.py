@@ -11,12 +11,32 @@ from __future__ import annotations
 import argparse
 import sys
 
-from rules import bench, docstrings, documents, glossary, house, opening, printing, support
+from rules import (
+    bench,
+    decisions,
+    docstrings,
+    documents,
+    glossary,
+    house,
+    opening,
+    printing,
+    releases,
+    support,
+)
 
-RULES = {
-    module.__name__.rpartition(".")[2]: module
-    for module in (bench, docstrings, documents, glossary, house, opening, printing, support)
-}
+MODULES = (
+    bench,
+    decisions,
+    docstrings,
+    documents,
+    glossary,
+    house,
+    opening,
+    printing,
+    releases,
+    support,
+)
+RULES = {module.__name__.rpartition(".")[2]: module for module in MODULES}
 
 
 def main(argv: list[str] | None = None) -> int:

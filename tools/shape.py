@@ -1,6 +1,8 @@
-"""The shape of the product, counted: files, lines, rooms, floors and arrows of controller and rig.
+"""The shape of the product, counted: files, lines, rooms, floors and arrows of controller, rig and
+bench.
 
-    room    a folder of a package, or a module beside its folders
+    room    a folder of a package, or a module beside its folders; of the bench, a package of
+            meshpoint/ that is none of `NO_ROOMS`
     arrow   one room imports another
     floors  rooms on the longest way along arrows: what has to be known from bottom to top
     inside  modules of rooms, and how many of them others than the package itself import
@@ -24,6 +26,10 @@ import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("controller", "rig_sim", "dbc", "meshpoint")
+BENCH = "meshpoint"
+WITH_ROOMS = ("controller", "rig_sim", BENCH)
+NO_ROOMS = ("api", "bus", "gearbox", "kernels")
+"""Packages of meshpoint/ that are no rooms of the bench: it stands on three, the API on it."""
 
 
 class Shape(NamedTuple):
@@ -37,8 +43,18 @@ class Shape(NamedTuple):
     """Modules of rooms that others import."""
 
 
+@cache
+def bench_rooms() -> frozenset[str]:
+    """The packages that make up the bench."""
+    found = {path.parent.name for path in (ROOT / BENCH).glob("*/__init__.py")}
+    return frozenset(found.difference(NO_ROOMS))
+
+
 def room_of(module: str, package: str) -> str | None:
     """The room that a module lies in; None outside of the package."""
+    if package == BENCH:
+        room = module.partition(".")[2].partition(".")[0]
+        return room if room in bench_rooms() else None
     if not module.startswith(f"meshpoint.{package}."):
         return None
     return module.split(".")[2]
@@ -57,7 +73,7 @@ def arrows_of(graph: grimp.ImportGraph, package: str) -> set[tuple[str, str]]:
 def shape_of(graph: grimp.ImportGraph, package: str) -> Shape:
     """The figures of a package with rooms."""
     mine = {each for each in graph.modules if room_of(each, package)}
-    inside = {each for each in mine if each.count(".") > 2}
+    inside = {each for each in mine if each.count(".") > (1 if package == BENCH else 2)}
     arrows = arrows_of(graph, package)
     reached = {b for a, b in _imports(graph) if b in inside and a not in mine}
     rooms = {room_of(each, package) for each in mine}
@@ -88,7 +104,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--mermaid", choices=["controller", "rig_sim"])
+    parser.add_argument("--mermaid", choices=WITH_ROOMS)
     namespace = parser.parse_args(argv)
     sys.path.insert(0, str(ROOT / "build" / "tree"))
     graph = grimp.build_graph("meshpoint", cache_dir=None)
@@ -100,7 +116,7 @@ def main(argv: list[str] | None = None) -> int:
     for package in PACKAGES:
         lines, files = _lines(package)
         print(f"{package:11} {files:4} files, {lines:6} lines", end="")
-        if package in ("controller", "rig_sim"):
+        if package in WITH_ROOMS:
             of = shape_of(graph, package)
             print(
                 f", {of.rooms:3} rooms, {of.floors:2} floors, {of.arrows:3} arrows; of "

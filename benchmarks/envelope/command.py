@@ -15,15 +15,15 @@ from benchmarks.envelope.making import OWN, Made, Product, Work, made, make, of_
 from benchmarks.envelope.rows import ROWS, Row
 from benchmarks.envelope.table import cells, figures, markdown, on_screen
 from benchmarks.envelope.verdict import DOUBT, FELL, WORDS, pairs, verdicts
+from meshpoint.base.errors import CommandError, RunError
+from meshpoint.base.exits import Exit
+from meshpoint.bench.compiling import prepare
 from meshpoint.bus import given_numbers
-from meshpoint.testbench.cli import run_parsed
-from meshpoint.testbench.command_line import arguments
-from meshpoint.testbench.command_line.parsing import Parser, examples
-from meshpoint.testbench.errors import CommandError, RunError
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.loop.compiling import prepare
-from meshpoint.testbench.results.junit import write_text
-from meshpoint.testbench.results.output import complain, console, folder_for, tell, write_json
+from meshpoint.cli import arguments
+from meshpoint.cli.main import run_parsed
+from meshpoint.cli.parsing import Parser, examples
+from meshpoint.results.junit import write_text
+from meshpoint.results.output import complain, console, folder_for, tell, write_json
 
 DESCRIPTION: Final = """\
 The proving ground. A change that helps the ordinary upshift may cost another sheet, a worse sensor

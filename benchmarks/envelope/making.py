@@ -2,7 +2,7 @@
 
 A row's folder holds the campaign as it goes (`--out`), and `row.json` once it is at its end; a row
 that has one is not made again. Which product makes it does not matter: the one that is running, or
-that of a commit, whose files are written beside (`meshpoint.testbench.campaign.git_reference`).
+that of a commit, whose files are written beside (`meshpoint.campaigns.git_reference`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.envelope.rows import Row
+from meshpoint.base.errors import CommandError
+from meshpoint.base.exits import Exit
+from meshpoint.campaigns.git_reference import Commit, export, find_commit, start
+from meshpoint.campaigns.store import CAMPAIGN_FILE, SHIFTS_FILE
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
-from meshpoint.testbench.campaign.git_reference import Commit, export, find_commit, start
-from meshpoint.testbench.campaign.store import CAMPAIGN_FILE, SHIFTS_FILE
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.results.output import folder_for
+from meshpoint.results.output import folder_for
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 CODE: Final = ("controller", "dbc", "meshpoint", "rig_sim")

@@ -10,7 +10,7 @@ from rich.table import Table
 from benchmarks.envelope.making import OWN, Made
 from benchmarks.envelope.rows import GROUPS, Group, Row
 from benchmarks.envelope.verdict import WORDS
-from meshpoint.testbench.campaign.spec import TRUE_STATE
+from meshpoint.campaigns.spec import TRUE_STATE
 
 COLUMNS: Final = (
     "shifts", "first in gap", "true state", "after ramp, ms", "99 of 100", "from request, ms", "J",

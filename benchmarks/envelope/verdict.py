@@ -17,12 +17,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.base.errors import CommandError
+from meshpoint.campaigns.baseline import DRAWN
+from meshpoint.campaigns.record import GAP
+from meshpoint.campaigns.stored import read_columns
 from meshpoint.kernels.records import Vector
-from meshpoint.testbench.campaign.baseline import DRAWN
-from meshpoint.testbench.campaign.record import GAP
-from meshpoint.testbench.campaign.stored import read_columns
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.results.shift_figures import REFUSED
+from meshpoint.results.shift_figures import REFUSED
 
 CHANCE: Final = 0.05
 DOUBTFUL: Final = 0.01

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from meshpoint.kernels.records import Vector
-from meshpoint.testbench.campaign.sequential import (
+from meshpoint.campaigns.sequential import (
     Estimate,
     against_known,
     looks,
@@ -25,8 +24,9 @@ from meshpoint.testbench.campaign.sequential import (
     parse_goal,
     unknown,
 )
-from meshpoint.testbench.campaign.verdict import Comparison, PairedRun, Verdict
-from meshpoint.testbench.campaign.verdict import looks as paired_looks
+from meshpoint.campaigns.verdict import Comparison, PairedRun, Verdict
+from meshpoint.campaigns.verdict import looks as paired_looks
+from meshpoint.kernels.records import Vector
 
 Misses = NDArray[np.bool_]
 QUANTILES: Final = np.concatenate(

@@ -16,18 +16,18 @@ from benchmarks.studies.record import Study, ThesisVerdict
 from benchmarks.studies.registry import STUDIES, chosen
 from benchmarks.studies.runner import StudyRecord, run_studies
 from benchmarks.studies.settings import StudySettings, load_study_settings, shipped_text
+from meshpoint.base.errors import CommandError
+from meshpoint.base.exits import Exit
+from meshpoint.base.provenance import provenance
+from meshpoint.bench.compiling import prepare
 from meshpoint.bus import given_numbers
+from meshpoint.cli import arguments
+from meshpoint.cli.main import run_parsed
+from meshpoint.cli.parsing import Parser, examples
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
+from meshpoint.results.output import console, folder_for, write_json
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.cli import run_parsed
-from meshpoint.testbench.command_line import arguments
-from meshpoint.testbench.command_line.parsing import Parser, examples
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.loop.compiling import prepare
-from meshpoint.testbench.provenance import provenance
-from meshpoint.testbench.results.output import console, folder_for, write_json
 
 LIST = "list"
 PAGE = "studies.html"

@@ -16,10 +16,10 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
+from meshpoint.campaigns.intervals import rate_interval
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import count, quantity, text
-from meshpoint.testbench.campaign.intervals import rate_interval
 
 RESAMPLES: Final = 4000
 STREAM: Final = 0xC0

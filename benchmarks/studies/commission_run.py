@@ -7,19 +7,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from meshpoint.base.version import product_version
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.commission.drawn import draw_sheet, withheld
+from meshpoint.commission.finding import Verdict
+from meshpoint.commission.measured import commissioned
+from meshpoint.commission.rehearsal import draw_miswiring, rehearse_turned
+from meshpoint.commission.shafts import Shaft
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS, Range, Split
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.check.finding import Verdict
-from meshpoint.testbench.check.shafts import Shaft
-from meshpoint.testbench.commission.drawn import draw_sheet, withheld
-from meshpoint.testbench.commission.measured import commissioned
-from meshpoint.testbench.commission.rehearsal import draw_miswiring, rehearse_turned
-from meshpoint.testbench.version import product_version
 
 
 class Box(NamedTuple):

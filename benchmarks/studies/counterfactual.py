@@ -22,8 +22,8 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
+from meshpoint.campaigns.intervals import rate_interval
 from meshpoint.gearbox.tables import count, quantity
-from meshpoint.testbench.campaign.intervals import rate_interval
 from meshpoint.units import DEG
 
 DIRECTIONS: Final = (("speed_window", "target_phase"), ("target_phase", "speed_window"))

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from meshpoint.base.version import product_version
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.replays.open_loop import OpenLoop
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Verification
+from meshpoint.report.judged import Judged
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.open_loop.judged import Judged
-from meshpoint.testbench.open_loop.open_loop import OpenLoop
-from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.version import product_version
 from meshpoint.units import DEG
 
 

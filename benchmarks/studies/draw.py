@@ -20,9 +20,9 @@ from benchmarks.studies.record import (
     Style,
     Table,
 )
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE
-from meshpoint.testbench.results.output import folder_for
+from meshpoint.base.errors import CommandError
+from meshpoint.report.layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE
+from meshpoint.results.output import folder_for
 
 SERIES_COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, INK, "#e69f00", "#56b4e9", GREY)
 WIDTH_IN, PANEL_IN, DPI = 9.0, 3.1, 100

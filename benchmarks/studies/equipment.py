@@ -12,14 +12,14 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from benchmarks.studies.equipment_truth import ParkedSleeve, Parking, WheelRings, WheelRingTeeth
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.campaigns.record import Conditions, JudgedShift
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.record import Conditions, JudgedShift
 
 
 class Equipment(StrEnum):

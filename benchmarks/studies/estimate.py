@@ -42,7 +42,7 @@ from benchmarks.studies.record import (
 )
 from meshpoint.controller.settings.settings import ESTIMATOR_NAMES
 from meshpoint.kernels.records import Vector
-from meshpoint.testbench.results.estimation import Sample
+from meshpoint.results.estimation import Sample
 from meshpoint.units import DEG, RPM
 
 NO_MATCH = (

@@ -27,10 +27,10 @@ from benchmarks.studies.jobs import (
     ShiftTrace,
 )
 from benchmarks.studies.record import Given, Table
+from meshpoint.base.errors import CommandError
 from meshpoint.controller.settings.settings import ESTIMATOR_NAMES, ControllerSettings
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.errors import CommandError
 from meshpoint.units import DEG, RPM
 
 BASELINE: Final = "window"

@@ -27,16 +27,16 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
+from meshpoint.campaigns.columns import Shifts
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.spec import SEEDS_APART
+from meshpoint.campaigns.summary import summarise
 from meshpoint.controller.sleeve.cylinder import LAW
 from meshpoint.controller.sleeve.law import SleeveLaw
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.tables import count, group, quantity, text
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.campaign.columns import Shifts
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.spec import SEEDS_APART
-from meshpoint.testbench.campaign.summary import summarise
 from meshpoint.units import MM, MS
 
 

@@ -21,12 +21,12 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
+from meshpoint.campaigns.intervals import rate_interval
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import count, quantity, text
+from meshpoint.results.wilson import wilson
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.campaign.intervals import rate_interval
-from meshpoint.testbench.results.wilson import wilson
 
 COLUMNS: Final = ("figure", "unit", "reported", "covered", "half interval", "error", "data sheet's")
 CHECKS: Final = ("kept out", "unit", "identified", "data sheet")

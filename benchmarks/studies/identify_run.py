@@ -9,10 +9,18 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.campaigns.draw import LAYSHAFT_RPM, draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.gearbox.sheet import Wheel
+from meshpoint.identify.identified import Identified
+from meshpoint.identify.identify import identify
+from meshpoint.identify.log_reader import LogContent, LogReader
+from meshpoint.identify.sleeve_fit import sleeve_fit
+from meshpoint.identify.tooth_fit import ToothFit, wheel_figures
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.parts.drag import thickening
 from meshpoint.rig_sim.parts.pneumatics import choked_rate, flow_share
@@ -23,14 +31,6 @@ from meshpoint.rig_sim.truck.constants import CELSIUS, FADE_FROM_C
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.edges import WheelAsMade
 from meshpoint.rig_sim.truck.sleeve_valves import SleeveValves
-from meshpoint.testbench.campaign.draw import LAYSHAFT_RPM, draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.identify.identified import Identified
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.log_reader import LogContent, LogReader
-from meshpoint.testbench.identify.sleeve_fit import sleeve_fit
-from meshpoint.testbench.identify.tooth_fit import ToothFit, wheel_figures
-from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.units import DEG, MS, RPM, US
 
 SHIFTS_STREAM: Final = 0x1D

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from meshpoint.bench.schedules import UPSHIFTS, Pairs
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -14,15 +17,12 @@ from meshpoint.dbc.node import Node
 from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.kernels.records import Vector
+from meshpoint.results.estimation import Sample
+from meshpoint.results.monitor import Monitor
+from meshpoint.results.road_speed import span_us
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.rig_sim.truck.as_built import linear, nominal
-from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
-from meshpoint.testbench.results.estimation import Sample
-from meshpoint.testbench.results.monitor import Monitor
-from meshpoint.testbench.results.road_speed import span_us
-from meshpoint.testbench.results.rows import ShiftRow
 
 AsBuilt = tuple[tuple[str, float], ...]
 """As-built values that are fixed, by name; the rest is drawn from the seed."""

@@ -19,8 +19,8 @@ from benchmarks.studies.record import (
     figures,
 )
 from benchmarks.studies.runner import StudyRecord
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.report.html import (
+from meshpoint.base.errors import CommandError
+from meshpoint.report.html import (
     NUMBER_CLASS,
     Cell,
     Page,
@@ -28,7 +28,7 @@ from meshpoint.testbench.report.html import (
     table,
     table_row,
 )
-from meshpoint.testbench.report.layout import GREY, GRID, PAPER
+from meshpoint.report.layout import GREY, GRID, PAPER
 
 SCRIPT: Final = Path(__file__).with_name("page.js")
 PANEL_PX, FRAME_PX, GAP = 270, 110, 0.06

@@ -9,11 +9,11 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from meshpoint.base.errors import CommandError
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError, count, group, quantity, text
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.errors import CommandError
 from meshpoint.units import RPM
 
 RECORD_DIGITS: Final = 9

@@ -33,8 +33,8 @@ from benchmarks.studies import (
     valve,
 )
 from benchmarks.studies.record import Study
-from meshpoint.testbench.columns import folded
-from meshpoint.testbench.errors import CommandError
+from meshpoint.base.columns import folded
+from meshpoint.base.errors import CommandError
 
 STUDIES: Final[tuple[Study[Any], ...]] = (
     valve.STUDY,

@@ -14,13 +14,13 @@ import numpy as np
 
 from benchmarks.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from benchmarks.studies.record import Given
+from meshpoint.base.errors import CommandError
 from meshpoint.controller.models.thesis import layshaft_model, propagate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.errors import CommandError
 from meshpoint.units import BAR, RPM
 
 RISE_SHARE: Final = 1.0 - math.exp(-1.0)

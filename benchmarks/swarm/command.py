@@ -13,14 +13,14 @@ from rich.table import Table
 
 from benchmarks.swarm.events import load_world
 from benchmarks.swarm.swarm import NAMES, Swarm, SwarmSpec, run_swarm
+from meshpoint.base.errors import CommandError
+from meshpoint.base.exits import Exit
+from meshpoint.bench.compiling import prepare
 from meshpoint.bus import given_numbers
-from meshpoint.testbench.cli import run_parsed
-from meshpoint.testbench.command_line import arguments
-from meshpoint.testbench.command_line.parsing import Parser, examples
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.loop.compiling import prepare
-from meshpoint.testbench.results.output import complain, console, write_json
+from meshpoint.cli import arguments
+from meshpoint.cli.main import run_parsed
+from meshpoint.cli.parsing import Parser, examples
+from meshpoint.results.output import complain, console, write_json
 
 TELL_EVERY_S: Final = 60.0
 WORDS: Final = {

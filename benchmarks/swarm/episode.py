@@ -16,6 +16,9 @@ from benchmarks.swarm.events import BUS_KINDS, REQUEST, RIG_KINDS, Event, Group,
 from benchmarks.swarm.invariants import Broken, Invariants
 from benchmarks.swarm.nodes import WatchedController, WatchedRig
 from benchmarks.swarm.wires import BusFault, Stranger, Trouble, Wire
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.bench.bench_builder import Onlooker, virtual_bench
+from meshpoint.bench.setup import Setup
 from meshpoint.bus.core import Step
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
@@ -35,9 +38,6 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import FaultOrder
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile
-from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.bench_builder import Onlooker, virtual_bench
-from meshpoint.testbench.loop.setup import Setup
 from meshpoint.units import RPM
 
 TICK_US: Final = 10_000

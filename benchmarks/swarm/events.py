@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from benchmarks.swarm.deeds import DEEDS
+from meshpoint.base.errors import CommandError
 from meshpoint.dbc.messages import ControllerState, RigFault
 from meshpoint.gearbox.reading import read_text
 from meshpoint.rig_sim.truck.faults import KINDS
-from meshpoint.testbench.errors import CommandError
 
 REQUEST: Final = "request"
 """A gear is asked for: value."""

@@ -18,18 +18,18 @@ from benchmarks.swarm.episode import Episode, EpisodeResult, Reached, declared
 from benchmarks.swarm.events import World, save_world
 from benchmarks.swarm.invariants import Broken
 from benchmarks.swarm.shrink import shrink
+from meshpoint.base.errors import CommandError
+from meshpoint.base.provenance import gearbox_words, provenance
+from meshpoint.base.version import product_version
 from meshpoint.bus.settle import settle
+from meshpoint.campaigns.runner import executor
+from meshpoint.campaigns.spec import SEEDS_APART
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.reading import read_text
+from meshpoint.results.output import folder_for
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Profile
-from meshpoint.testbench.campaign.runner import executor
-from meshpoint.testbench.campaign.spec import SEEDS_APART
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.provenance import gearbox_words, provenance
-from meshpoint.testbench.results.output import folder_for
-from meshpoint.testbench.version import product_version
 
 PART_LIMIT_BYTES: Final = 2_000_000_000
 NAMES: Final = ("faults", "fault_codes", "guard_rows", "transitions")

@@ -6,6 +6,8 @@ from meshpoint.api.live_bench import LiveBench
 from meshpoint.api.logs import Log, shifts_table
 from meshpoint.api.runs import Campaign, Replay, Simulation, campaign, replay, simulate
 from meshpoint.api.watching import ShiftError
+from meshpoint.base.errors import CommandError, RunError
+from meshpoint.base.version import product_version
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.logs.reader import LogError
 from meshpoint.controller.plan.strategy import EngagementStrategy, ReleasePlan
@@ -16,11 +18,9 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
-from meshpoint.testbench.errors import CommandError, RunError
-from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.open_loop.judged_rows import JudgedRow
-from meshpoint.testbench.results.rows import ShiftRow, Summary
-from meshpoint.testbench.version import product_version
+from meshpoint.replays.session import Verification
+from meshpoint.report.judged_rows import JudgedRow
+from meshpoint.results.rows import ShiftRow, Summary
 
 __version__ = product_version()
 

@@ -8,6 +8,11 @@ from typing import Any, NamedTuple, Self
 
 from meshpoint.api.choices import AsBuilt, PathLike, Strategy, load_settings, setup_of
 from meshpoint.api.watching import DEFAULT_TIMEOUT_S, ShiftError, Watching
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.bench.bench_builder import virtual_bench
+from meshpoint.bench.compiling import prepare_once
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.logs.files import RotatingLog, open_log
 from meshpoint.bus.logs.recorder import LogWriter
@@ -17,15 +22,10 @@ from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.results.output import folder_for
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Preset, RigSettings
-from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.bench_builder import virtual_bench
-from meshpoint.testbench.loop.compiling import prepare_once
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
-from meshpoint.testbench.results.output import folder_for
 
 NODES = ("controller", "rig", "bench")
 LOG_CHANNEL = "virtual"

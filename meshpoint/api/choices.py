@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from meshpoint.bench.schedules import SCHEDULES, Pairs
+from meshpoint.bench.setup import Setup
 from meshpoint.controller.plan.own_strategy import read_strategy
 from meshpoint.controller.settings.settings import (
     ESTIMATOR_NAMES,
@@ -22,8 +24,6 @@ from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, Preset
 from meshpoint.rig_sim.truck.as_built import as_built_of, read_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
-from meshpoint.testbench.loop.schedules import SCHEDULES, Pairs
-from meshpoint.testbench.loop.setup import Setup
 
 PathLike = str | Path
 AsBuilt = str | Path | Mapping[str, float | str]

@@ -17,15 +17,15 @@ import can
 from meshpoint.api.bench import rig_settings
 from meshpoint.api.choices import PathLike, load_settings, setup_of
 from meshpoint.api.watching import DEFAULT_TIMEOUT_S, ShiftError, Watching
+from meshpoint.base.errors import RunError
+from meshpoint.bench.bench import PATIENCE_US
+from meshpoint.bench.live import NODE_NAMES, LiveRun, LiveSession, live_session
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import IN_PROCESS, add_bus_arguments, open_bus_from
 from meshpoint.bus.slowness import times_slower
 from meshpoint.dbc.frame import Frame
+from meshpoint.results.output import folder_for
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
-from meshpoint.testbench.errors import RunError
-from meshpoint.testbench.loop.bench import PATIENCE_US
-from meshpoint.testbench.loop.live import NODE_NAMES, LiveRun, LiveSession, live_session
-from meshpoint.testbench.results.output import folder_for
 
 POLL_S: Final = 0.02
 MOST_POLL_S: Final = 1.0

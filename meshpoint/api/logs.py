@@ -19,14 +19,14 @@ from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus, Message
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
-from meshpoint.testbench.logs.beliefs import Beliefs
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.report.collect import ReportCollector
-from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.report.write import report_provenance, write_report
-from meshpoint.testbench.results.monitor import RowMonitor
-from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.results.shift_parts import PARTS
+from meshpoint.replays.replay import LogReplay
+from meshpoint.report.beliefs import Beliefs
+from meshpoint.report.collect import ReportCollector
+from meshpoint.report.run import Report, ReportRun
+from meshpoint.report.write import report_provenance, write_report
+from meshpoint.results.monitor import RowMonitor
+from meshpoint.results.rows import ShiftRow
+from meshpoint.results.shift_parts import PARTS
 
 if TYPE_CHECKING:
     import pyarrow as pa

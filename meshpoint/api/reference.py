@@ -15,8 +15,8 @@ from typing import Any, Final
 
 import meshpoint
 from meshpoint import api
+from meshpoint.cli.reference import GENERATED
 from meshpoint.gearbox.keys import field_docs
-from meshpoint.testbench.help.reference import GENERATED
 
 HEAD: Final = f"""\
 # The Python API, name by name

@@ -20,29 +20,29 @@ from meshpoint.api.choices import (
     setup_of,
 )
 from meshpoint.api.logs import Log, load_arrow, shifts_table
+from meshpoint.bench.compiling import prepare_once
+from meshpoint.bench.schedules import Pairs, check_preset
+from meshpoint.bench.simulate import Result
+from meshpoint.bench.simulate import simulate as run_simulation
+from meshpoint.campaigns.draw import upshifts
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.result import Collected, to_json
+from meshpoint.campaigns.runner import run_all, workplace
+from meshpoint.campaigns.spec import CampaignSpec
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import StrategyFile
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.replays.chosen import Chosen, other_header, recorded_header
+from meshpoint.replays.open_loop import OpenLoop
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.replay_rows import ReplayRows
+from meshpoint.replays.session import Session, Verification
+from meshpoint.report.judged_rows import JudgedRow
+from meshpoint.results.rows import ShiftRow, Summary, summarise
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Preset
-from meshpoint.testbench.campaign.draw import upshifts
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.result import Collected, to_json
-from meshpoint.testbench.campaign.runner import run_all, workplace
-from meshpoint.testbench.campaign.spec import CampaignSpec
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Session, Verification
-from meshpoint.testbench.loop.compiling import prepare_once
-from meshpoint.testbench.loop.schedules import Pairs, check_preset
-from meshpoint.testbench.loop.simulate import Result
-from meshpoint.testbench.loop.simulate import simulate as run_simulation
-from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
-from meshpoint.testbench.open_loop.judged_rows import JudgedRow
-from meshpoint.testbench.open_loop.open_loop import OpenLoop
-from meshpoint.testbench.replay.rows import ReplayRows
-from meshpoint.testbench.results.rows import ShiftRow, Summary, summarise
 
 if TYPE_CHECKING:
     import pyarrow as pa

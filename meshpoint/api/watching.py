@@ -9,6 +9,12 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from meshpoint.api.choices import PathLike
+from meshpoint.base.errors import RunError
+from meshpoint.bench.bench import BenchCore, PlannedShift, plan_shifts
+from meshpoint.bench.pauses import pauses_of
+from meshpoint.bench.schedules import check_preset
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
@@ -19,17 +25,11 @@ from meshpoint.dbc.messages import (
     ShiftResult,
 )
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.errors import RunError
-from meshpoint.testbench.loop.bench import BenchCore, PlannedShift, plan_shifts
-from meshpoint.testbench.loop.pauses import pauses_of
-from meshpoint.testbench.loop.schedules import check_preset
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
-from meshpoint.testbench.results.faults import explain
-from meshpoint.testbench.results.monitor import RowMonitor
-from meshpoint.testbench.results.output import folder_for
-from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.results.states import standing_words
+from meshpoint.results.faults import explain
+from meshpoint.results.monitor import RowMonitor
+from meshpoint.results.output import folder_for
+from meshpoint.results.rows import ShiftRow
+from meshpoint.results.states import standing_words
 
 M = TypeVar("M", bound=Message)
 DEFAULT_TIMEOUT_S = 30.0

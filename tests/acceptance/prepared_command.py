@@ -15,7 +15,7 @@ import time
 import traceback
 from typing import Any
 
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 
 def command(request: dict[str, Any]) -> int:

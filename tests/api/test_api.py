@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,18 +17,34 @@ from recorded_run import Recorded
 import meshpoint
 from meshpoint.api import reference
 from meshpoint.api.runs import Replay
-from meshpoint.testbench.campaign import command as commands
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.campaigns import campaign_command as commands
+from meshpoint.cli.main import main
+from meshpoint.replays.session import Session, Verification
 
 ROOT = Path(__file__).parents[2]
-HEAVY = ("numpy", "can", "cantools", "numba", "pyarrow", "matplotlib", "meshpoint.testbench")
+HEAVY = (
+    "numpy",
+    "can",
+    "cantools",
+    "numba",
+    "pyarrow",
+    "matplotlib",
+    "meshpoint.base",
+    "meshpoint.results",
+)
 
 
 def test_importing_it_loads_nothing_heavy() -> None:
     code = f"import sys, meshpoint; print([m for m in {HEAVY} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_no_package_takes_the_place_of_a_name() -> None:
+    """Once imported, `meshpoint.NAME` would be the package."""
+    packages = {found.name for found in pkgutil.iter_modules(meshpoint.__path__)}
+    assert {"api", "run"} <= packages
+    assert not packages & set(meshpoint.__all__)
 
 
 def test_every_name_is_there_and_says_what_it_is() -> None:
@@ -37,8 +54,8 @@ def test_every_name_is_there_and_says_what_it_is() -> None:
             assert inspect.getdoc(value), name
             assert f"`{name}" in (ROOT / "docs" / "api.md").read_text(), name
     assert set(meshpoint.__all__) <= set(dir(meshpoint))
-    with pytest.raises(AttributeError, match="has no attribute 'bench'"):
-        _ = meshpoint.bench
+    with pytest.raises(AttributeError, match="has no attribute 'shift'"):
+        _ = meshpoint.shift
 
 
 def test_the_two_lists_of_names_are_one() -> None:

@@ -19,7 +19,15 @@ from meshpoint.pytest_plugin import Benches
 pytest_plugins = ["pytester"]
 ROOT = Path(__file__).parents[2]
 TEN = ROOT / "examples" / "test_shifts.py"
-HEAVY = ("numpy", "can", "cantools", "numba", "meshpoint.api", "meshpoint.testbench")
+HEAVY = (
+    "numpy",
+    "can",
+    "cantools",
+    "numba",
+    "meshpoint.api",
+    "meshpoint.base",
+    "meshpoint.results",
+)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from meshpoint.bus.options import (
     is_local_bus,
     open_bus_from,
 )
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 
 @pytest.fixture(autouse=True)

@@ -17,7 +17,7 @@ OPTIONAL = (
 pytestmark = pytest.mark.check
 
 LOADED = "import json, sys; print(json.dumps([*sys.modules]))"
-SIMULATE = "from meshpoint.testbench.cli import main; main({}); "
+SIMULATE = "from meshpoint.cli.main import main; main({}); "
 RUN = ["simulate", "--shifts", "1", "--preset", "thesis", "--json", "run.json"]
 
 

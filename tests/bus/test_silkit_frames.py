@@ -7,12 +7,12 @@ from types import SimpleNamespace as Event
 
 import pytest
 
+from meshpoint.bench.shared_bus import HandOver
+from meshpoint.bridges.silkit_coordinated import Announced, pack
 from meshpoint.bus.silkit.library import FDF, IDE, RTR, XLF, Heard, SilKitError, wire_frame
 from meshpoint.bus.simulated.frame_bits import WireFrame
+from meshpoint.cli.main import main
 from meshpoint.dbc.frame import Frame
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.loop.shared_bus import HandOver
-from meshpoint.testbench.silkit.coordinated import Announced, pack
 
 LOW = Frame(0x18FF1080, bytes(range(64)))
 HIGH = Frame(0x123, b"abc", is_fd=False, is_extended=False)

@@ -9,14 +9,14 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
+from meshpoint.campaigns.columns import FIELDS
+from meshpoint.campaigns.draw import upshifts
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.spec import CampaignSpec
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.columns import FIELDS
-from meshpoint.testbench.campaign.draw import upshifts
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.spec import CampaignSpec
-from meshpoint.testbench.cli import main
 
 BOTH = "speed_window,target_phase"
 SMALL = ("--learn", "1", "--judged", "1", "--strategy", BOTH, "--as-built", "clean")

@@ -12,16 +12,16 @@ from typing import Any, cast
 import pytest
 from campaigns import SMALL, Outcome, campaign, judged_shift
 
-from meshpoint.testbench.campaign import runner
-from meshpoint.testbench.campaign.columns import Shifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.run import RunResult, run_many
-from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.campaign.summary import summarise
-from meshpoint.testbench.campaign.table import CELLS
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.base.exits import Exit
+from meshpoint.campaigns import runner
+from meshpoint.campaigns.columns import Shifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.campaigns.run import RunResult, run_many
+from meshpoint.campaigns.spec import CampaignSpec, Job
+from meshpoint.campaigns.summary import summarise
+from meshpoint.campaigns.table import CELLS
+from meshpoint.cli.main import main
+from meshpoint.results.rows import ShiftRow
 
 RUNS = ("--runs", "2", "--true-state")
 

@@ -10,18 +10,18 @@ import pytest
 from campaigns import small_spec
 from scipy.stats import chi2
 
+from meshpoint.base.provenance import product_version
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.replays.landing import MOST_SD_SHARE, STUDENT_95
+from meshpoint.replays.open_loop import OpenLoop
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Verification
+from meshpoint.report.judged import Judged
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.open_loop.judged import Judged
-from meshpoint.testbench.open_loop.landing import MOST_SD_SHARE, STUDENT_95
-from meshpoint.testbench.open_loop.open_loop import OpenLoop
-from meshpoint.testbench.provenance import product_version
-from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import DEG
 
 SHIFTS = 4

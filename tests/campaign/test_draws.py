@@ -10,10 +10,10 @@ import pytest
 from campaigns import small_spec
 
 from benchmarks.swarm.draw import draw_world
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.campaigns.spec import CampaignSpec, Job
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 
 RUNS = 6
 

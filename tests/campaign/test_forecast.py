@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from meshpoint.campaigns.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.plant import TruckPlant
-from meshpoint.testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 
 CLOCK_START_US = 1_234
 

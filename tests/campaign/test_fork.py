@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.campaigns.spec import CampaignSpec
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.spec import CampaignSpec
 
 
 def loop_of(spec: CampaignSpec, seed: int) -> ClosedLoop:

@@ -10,10 +10,10 @@ import pytest
 from campaigns import judged_shift
 
 from benchmarks.studies.teeth import Engagements
+from meshpoint.campaigns.columns import Shifts
+from meshpoint.campaigns.record import JudgedShift, gap_share
+from meshpoint.campaigns.sequential import estimate, parse_goal
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.campaign.columns import Shifts
-from meshpoint.testbench.campaign.record import JudgedShift, gap_share
-from meshpoint.testbench.campaign.sequential import estimate, parse_goal
 from meshpoint.units import MM, RPM
 
 GOAL = parse_goal("first_contact_gap difference +-1%")

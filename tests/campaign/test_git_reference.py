@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.campaign.git_reference import export, find_commit
+from meshpoint.campaigns.git_reference import export, find_commit
 
 
 def test_a_link_out_of_the_checkout_is_left_out(

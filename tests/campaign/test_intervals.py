@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from meshpoint.testbench.campaign.clustered_rate import clustered_rate
-from meshpoint.testbench.campaign.intervals import (
+from meshpoint.campaigns.clustered_rate import clustered_rate
+from meshpoint.campaigns.intervals import (
     RESAMPLES,
     SEED,
     Mean,

@@ -12,11 +12,11 @@ from typing import Any, cast
 import pytest
 from campaigns import campaign, small_spec
 
-from meshpoint.testbench.campaign import runner
-from meshpoint.testbench.campaign.run import RunResult, run_many
-from meshpoint.testbench.campaign.runner import MOST_DEATHS, WorkersLostError, run_all
-from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.exits import Exit
+from meshpoint.base.exits import Exit
+from meshpoint.campaigns import runner
+from meshpoint.campaigns.run import RunResult, run_many
+from meshpoint.campaigns.runner import MOST_DEATHS, WorkersLostError, run_all
+from meshpoint.campaigns.spec import CampaignSpec, Job
 
 SPEC = small_spec()
 CHEAP = ("--runs", "3", "--learn", "0", "--strategy", "speed_window", "--preset", "thesis")
@@ -150,7 +150,7 @@ def test_a_campaign_whose_workers_are_lost_says_what_is_kept_and_goes_on_from_th
     with monkeypatch.context() as patch:
         patch.setattr(runner, "run_many", noted)
         wanted = campaign(tmp_path / "whole", *CHEAP, "--jobs", "1")
-    monkeypatch.setattr("meshpoint.testbench.campaign.command.workplace", workplace)
+    monkeypatch.setattr("meshpoint.campaigns.campaign_command.workplace", workplace)
     ends: dict[int, None] = {1: None}
     broken = campaign(tmp_path / "a", *CHEAP, "--dask", "tcp://10.0.0.1:8786")
     assert broken.code == Exit.FAILED

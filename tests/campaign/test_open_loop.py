@@ -12,20 +12,20 @@ from pathlib import Path
 import pytest
 from campaigns import small_spec
 
+from meshpoint.base.version import product_version
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.core.core import OWN_ADDRESS
 from meshpoint.controller.settings.header import RunHeader, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
+from meshpoint.replays import open_loop as open_loop_module
+from meshpoint.replays.open_loop import SHIFTING, OpenLoop
+from meshpoint.replays.replay import STATUS, LogReplay
+from meshpoint.replays.session import Verification
+from meshpoint.report.judged import Judged, judge
+from meshpoint.report.trajectory import Trajectory, said
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.logs.replay import STATUS, LogReplay
-from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.open_loop import open_loop as open_loop_module
-from meshpoint.testbench.open_loop.judged import Judged, judge
-from meshpoint.testbench.open_loop.open_loop import SHIFTING, OpenLoop
-from meshpoint.testbench.open_loop.trajectory import Trajectory, said
-from meshpoint.testbench.version import product_version
 from meshpoint.units import RPM
 
 SHIFTS = 4

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.testbench.campaign.paired_ratio import paired_ratio
-from meshpoint.testbench.campaign.verdict import Verdict, looks
+from meshpoint.campaigns.paired_ratio import paired_ratio
+from meshpoint.campaigns.verdict import Verdict, looks
 
 RUNS = 500
 CHANGES = 200

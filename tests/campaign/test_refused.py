@@ -8,15 +8,15 @@ from typing import Any
 import pytest
 from campaigns import judged_shift, small_spec
 
+from meshpoint.campaigns import run
+from meshpoint.campaigns.baseline import Outcome, paired_runs
+from meshpoint.campaigns.columns import Shifts
+from meshpoint.campaigns.draw import Draw, draw
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.spec import TRUE_STATE, Job
+from meshpoint.campaigns.summary import summarise
+from meshpoint.campaigns.table import CELLS
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.campaign import run
-from meshpoint.testbench.campaign.baseline import Outcome, paired_runs
-from meshpoint.testbench.campaign.columns import Shifts
-from meshpoint.testbench.campaign.draw import Draw, draw
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.spec import TRUE_STATE, Job
-from meshpoint.testbench.campaign.summary import summarise
-from meshpoint.testbench.campaign.table import CELLS
 
 OWN = "target_phase"
 FAST_RAD_S = 110.0

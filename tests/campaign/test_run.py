@@ -7,6 +7,13 @@ from dataclasses import replace
 import pytest
 from campaigns import small_spec
 
+from meshpoint.campaigns.columns import Shifts
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import LOCKED_US, UNREAD, ClosedLoop
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.run import run_one
+from meshpoint.campaigns.sequential import estimate, parse_goal
+from meshpoint.campaigns.spec import Job
 from meshpoint.controller.settings.settings import ControllerSettings, Prices
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
@@ -20,13 +27,6 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.columns import Shifts
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import LOCKED_US, UNREAD, ClosedLoop
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.run import run_one
-from meshpoint.testbench.campaign.sequential import estimate, parse_goal
-from meshpoint.testbench.campaign.spec import Job
 
 TICK_US = 10_000
 IN_GEAR = ControllerState.IN_GEAR

@@ -13,17 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.studies.campaign_statistics_run import CoverageRun
-from meshpoint.testbench.campaign.run import RunResult
-from meshpoint.testbench.campaign.runner import run_all
-from meshpoint.testbench.campaign.sequential import (
+from meshpoint.campaigns.run import RunResult
+from meshpoint.campaigns.runner import run_all
+from meshpoint.campaigns.sequential import (
     LEAST_RUNS,
     against_known,
     looks,
     paired_estimate,
     parse_goal,
 )
-from meshpoint.testbench.campaign.spec import Job
-from meshpoint.testbench.campaign.stopping import Until
+from meshpoint.campaigns.spec import Job
+from meshpoint.campaigns.stopping import Until
 
 
 @pytest.mark.parametrize(

@@ -11,16 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 from campaigns import small_spec
 
-from meshpoint.testbench.campaign import store as stores
-from meshpoint.testbench.campaign.columns import FIELDS, ShiftColumns, Shifts
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.result import Collected
-from meshpoint.testbench.campaign.run import RunResult
-from meshpoint.testbench.campaign.spec import Job
-from meshpoint.testbench.campaign.store import MERGED, Store
-from meshpoint.testbench.campaign.stored import read_shifts, write_shifts
-from meshpoint.testbench.campaign.sweep import SweepPoint
-from meshpoint.testbench.errors import CommandError
+from meshpoint.base.errors import CommandError
+from meshpoint.campaigns import store as stores
+from meshpoint.campaigns.columns import FIELDS, ShiftColumns, Shifts
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.result import Collected
+from meshpoint.campaigns.run import RunResult
+from meshpoint.campaigns.spec import Job
+from meshpoint.campaigns.store import MERGED, Store
+from meshpoint.campaigns.stored import read_shifts, write_shifts
+from meshpoint.campaigns.sweep import SweepPoint
 
 SPEC = small_spec(true_state=False, judged=2)
 POINT = SweepPoint("backlash_percent", 10.0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
+from meshpoint.campaigns.run import run_one
+from meshpoint.campaigns.spec import TRUE_STATE, Job
 from meshpoint.controller.settings.settings import ControllerSettings, Prices, Window
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.campaign.run import run_one
-from meshpoint.testbench.campaign.spec import TRUE_STATE, Job
 
 RPM_TO_DEG_PER_MS = 6e-3
 

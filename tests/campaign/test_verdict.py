@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks.studies.campaign_statistics_run import Kind, VerdictRun
-from meshpoint.testbench.campaign.verdict import Comparison, Counts, PairedRun, Verdict, evidence
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
+from meshpoint.base.exits import Exit
+from meshpoint.campaigns.verdict import Comparison, Counts, PairedRun, Verdict, evidence
+from meshpoint.cli.main import main
 
 SEED = 3
 COMMON = (
@@ -290,22 +290,21 @@ def main(words):
 def repository(made: Path, tmp_path: Path) -> Path:
     """Its commit never misses; its settings file is another one in the working tree."""
     top = tmp_path / "repository"
-    for path in ("meshpoint/testbench", "controller", "rig_sim", "dbc"):
+    for path in ("meshpoint", "controller", "rig_sim", "dbc"):
         (top / path).mkdir(parents=True)
         (top / path / "__init__.py").touch()
-    (top / "meshpoint/__init__.py").touch()
     for name in ("controller", "rig_sim", "dbc"):
         (top / name / "core.py").touch()
-    (top / "meshpoint/testbench/cli.py").write_text(PRODUCT)
+    (top / "meshpoint/__main__.py").write_text(PRODUCT)
     table = made / "after" / "shifts.parquet"
     rows = [row | {"contact": "gap"} for row in pq.read_table(table).to_pylist()]
     schema = pq.read_schema(table)
-    made_before = top / "meshpoint/testbench/made.parquet"
+    made_before = top / "meshpoint/made.parquet"
     pq.write_table(pa.Table.from_pylist(rows, schema=schema), made_before)
     (top / "speed.toml").write_text('strategy = "speed_window"\n# as committed\n')
     git(tmp_path, "init", "--quiet", str(top))
     commit(top)
-    (top / "meshpoint/testbench/cli.py").write_text("raise SystemExit('not this one')")
+    (top / "meshpoint/__main__.py").write_text("raise SystemExit('not this one')")
     (top / "speed.toml").write_text('strategy = "speed_window"\n')
     return top
 

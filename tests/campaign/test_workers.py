@@ -12,7 +12,7 @@ import pytest
 
 PROGRAM = """
 import sys, time
-from meshpoint.testbench.campaign.workers import worker_pool
+from meshpoint.campaigns.workers import worker_pool
 if __name__ == "__main__":
     try:
         with worker_pool(2) as pool:

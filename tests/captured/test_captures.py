@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.logs.capture_files import Columns, read_columns
-from meshpoint.testbench.logs.capture_ways import Asked, choose
-from meshpoint.testbench.logs.captures import CaptureRow
+from meshpoint.logs.capture_files import Columns, read_columns
+from meshpoint.logs.capture_ways import Asked, choose
+from meshpoint.logs.captures import CaptureRow
 
 pytestmark = pytest.mark.device
 FOLDER = os.environ.get("MESHPOINT_CAPTURES")

@@ -14,6 +14,8 @@ from collections import Counter, deque
 
 from loop_bench import PHASES_US, Operator
 
+from meshpoint.base.provenance import product_version
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.authentication.proof import CLUTCH, COMMANDS, HELD, VALVES
@@ -28,8 +30,6 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import product_version
 
 NAMES = ("valve_command", "clutch_command", "engine_request")
 KEYS = make_keys({name: bytes([k]) * 16 for k, name in enumerate(NAMES)}, "test")

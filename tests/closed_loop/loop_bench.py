@@ -7,6 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from meshpoint.base.version import product_version
+from meshpoint.bench.bench import BenchCore, plan_shifts
+from meshpoint.bench.pauses import pauses_of
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.bus.core import Core, Step
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import RunHeader, XcpAccess, new_header
@@ -29,10 +33,6 @@ from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
-from meshpoint.testbench.loop.pauses import pauses_of
-from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.version import product_version
 
 SHEET = load_sheet("thesis")
 LAYSHAFT_RAD_S = 1400.0 * math.pi / 30.0

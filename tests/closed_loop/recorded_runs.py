@@ -28,6 +28,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from meshpoint.bench.bench import BenchCore, plan_shifts
+from meshpoint.bench.bench_builder import virtual_bench
+from meshpoint.bench.pauses import pauses_of
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S
 from meshpoint.bus.classic.cores import bench_unpacker
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.bus.profile import WireProfile
@@ -38,16 +43,11 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import Mesh
+from meshpoint.results.monitor import RowMonitor
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
-from meshpoint.testbench.loop.bench_builder import virtual_bench
-from meshpoint.testbench.loop.pauses import pauses_of
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
-from meshpoint.testbench.results.monitor import RowMonitor
-from meshpoint.testbench.results.rows import ShiftRow
 
 RECORD: Final = Path(__file__).with_name("recorded_runs.toml")
 TRANSCRIPTS: Final = Path(__file__).with_name("recorded")

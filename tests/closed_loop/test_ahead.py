@@ -42,7 +42,7 @@ def reported(loop: Loop) -> dict[EngagementEvent, int]:
     return found
 
 
-TEACH = 8
+TEACH = 4
 LAST_US = 1_500_000 + 4_000_000 * TEACH
 """When the last shift is asked for: the first ones teach how the sleeve moves."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from loop_bench import Loop
 
+from meshpoint.bench.schedules import MAIN_BOX, MIXED
+from meshpoint.bench.simulate import Setup, simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     TSC1,
@@ -20,8 +22,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.loop.schedules import MAIN_BOX, MIXED
-from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.units import DEG
 
 TRUCK12, THESIS = load_sheet("truck12"), load_sheet("thesis")

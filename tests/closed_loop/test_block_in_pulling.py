@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
 
 SEED, LEARNED, BEFORE = 2_000_182, 6, 6
 """In the judged shift after these of this gearbox, 9 to 11, the sleeve comes out so slowly that the

@@ -17,8 +17,8 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import Mesh
+from meshpoint.results.rows import RowCollector
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.results.rows import RowCollector
 
 TRUCK12 = load_sheet("truck12")
 WHOLE = replace(SHEET, main=replace(SHEET.main, second=Mesh(37, 48), third=Mesh(62, 48)))

@@ -9,10 +9,12 @@ from pathlib import Path
 import cantools
 import pytest
 
+from meshpoint.bench.simulate import Result, Setup, simulate
 from meshpoint.bus.classic.cores import ClassicListenerCore
 from meshpoint.bus.core import Step
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS, ClassicSender
 from meshpoint.dbc.classic.source import CLASSIC_DBC
@@ -20,9 +22,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import FrameVerdict, Receiver
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.loop.simulate import Result, Setup, simulate
+from meshpoint.replays.replay import LogReplay
 
 Run = tuple[Result, list[tuple[int, Frame]], Path]
 

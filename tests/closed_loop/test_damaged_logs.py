@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from loop_bench import Loop
 
+from meshpoint.base.exits import Exit
 from meshpoint.bus.logs.reader import FORMATS
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.cli.main import main
 from meshpoint.dbc.layout import CODECS
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
 
 HOLE_BYTES = 16
 

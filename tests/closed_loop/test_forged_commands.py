@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from forged_commands import NAMES, Attacker, Run
 
+from meshpoint.base.exits import Exit
 from meshpoint.bus.command_keys import make_keys
+from meshpoint.cli.main import main
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult, ValveStatus
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
 
 OTHER = make_keys({name: bytes([9 + k]) * 16 for k, name in enumerate(NAMES)}, "other")
 

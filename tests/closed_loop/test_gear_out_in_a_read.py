@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
 
 SEED = 900_000_003
 """Gear 13 to 1: behind the low range the driveline swings most."""

@@ -6,6 +6,8 @@ from itertools import takewhile
 
 import pytest
 
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
@@ -13,8 +15,6 @@ from meshpoint.dbc.messages import EngagementEvent, Message, ReferenceEngagement
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
 
 
 def is_ready(message: Message) -> bool:

@@ -3,6 +3,7 @@ is the same after a restart, and a shift that failed teaches nothing of sleeves 
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 from typing import Any
@@ -16,8 +17,8 @@ from meshpoint.controller.settings.learned import Calibration, read_calibration
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
+from meshpoint.results.rows import RowCollector
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.results.rows import RowCollector
 
 SHEET = load_sheet("truck12")
 SHIFTS, LIMIT_US = 8, 60_000_000
@@ -67,6 +68,14 @@ def test_the_brake_and_the_sleeve_are_learned_to_within_what_is_said_of_them(gai
     assert abs(sleeve.delay_s - true_s) < abs(SHEET.sleeve.delay_s - true_s) + 1e-3
 
 
+@pytest.fixture(scope="module")
+def of_two_shifts() -> Loop:
+    """Two of three shifts are over; who goes on from there takes a copy."""
+    loop = a_loop(shifts=3)
+    loop.until(lambda: len(loop.outcomes) == 2, LIMIT_US)
+    return loop
+
+
 @pytest.mark.parametrize(
     ("state", "fault"),
     [
@@ -76,12 +85,11 @@ def test_the_brake_and_the_sleeve_are_learned_to_within_what_is_said_of_them(gai
     ],
 )
 def test_a_shift_that_failed_teaches_nothing_of_sleeves_and_phases(
-    state: ControllerState, fault: RigFault
+    of_two_shifts: Loop, state: ControllerState, fault: RigFault
 ) -> None:
     """What was known as it failed is left as it was: by two shifts before, and by the sleeve's way
     out of the old gear."""
-    loop = a_loop(shifts=3)
-    loop.until(lambda: len(loop.outcomes) == 2, LIMIT_US)
+    loop = copy.deepcopy(of_two_shifts)
     loop.run_to_state(ControllerState.NEUTRAL, LIMIT_US)
     loop.run_to_state(state, LIMIT_US)
     if state is ControllerState.SYNCHRONISING:
@@ -110,10 +118,12 @@ def commands(core: ControllerCore, heard: list[str]) -> list[str]:
     return [line for line in reported.lines if line.startswith(COMMANDS)]
 
 
-def test_restored_from_its_file_a_controller_commands_what_it_does_with_what_was_learned() -> None:
+def test_restored_from_its_file_a_controller_commands_what_it_does_with_what_was_learned(
+    of_two_shifts: Loop,
+) -> None:
     """The bus of a recorded run, heard by one that was given the figures and by one that has read
     their nine digits."""
-    loop = a_loop(shifts=3)
+    loop = copy.deepcopy(of_two_shifts)
     loop.run(LIMIT_US)
     learned = calibration(loop)
     read = read_calibration(learned.to_text(), "box.toml", SHEET)

@@ -11,8 +11,8 @@ import pytest
 from loop_bench import Loop
 
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.cli.main import main
 from meshpoint.dbc.frame import Frame
-from meshpoint.testbench.cli import main
 
 Frames = list[tuple[float, Frame]]
 

@@ -11,9 +11,9 @@ import pytest
 from loop_bench import Loop
 
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.cli.main import main
 from meshpoint.dbc.layout import CODECS
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.account import Account
+from meshpoint.logs.account import Account
 
 
 def account_without(loop: Loop, message: str, number: int) -> Account:

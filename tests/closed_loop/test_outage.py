@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "bus"))
 
 from fake_time import FakeTimeLoop, QuietBus, run_in_fake_time
 
+from meshpoint.base.version import product_version
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
 from meshpoint.bus.frames import frame_of
@@ -24,9 +25,8 @@ from meshpoint.controller.run.kept import AFTER_STEPS, BEFORE_STEPS, OutageRecor
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Session, Verification
-from meshpoint.testbench.version import product_version
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Session, Verification
 
 AWAY_US = (900_000, 1_260_000)
 NOTICED_US = 60_000

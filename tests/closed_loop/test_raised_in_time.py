@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import pytest
 
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import RPM
 
 SHEET = load_sheet("truck12")

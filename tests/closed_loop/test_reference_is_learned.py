@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import load_settings
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
 
 GAPS_PERCENT = (4, 8, 20, 40)
 JITTERS_US = (5, 20, 40)

@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import pytest
 
+from meshpoint.campaigns.draw import draw
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
@@ -13,8 +15,6 @@ from meshpoint.dbc.messages import TSC1, ClutchCommand, Message, TscOverrideMode
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
 
 SHEET = load_sheet("truck12")
 EXPIRY_US = 100_000

@@ -13,8 +13,8 @@ from loop_bench import Loop
 from meshpoint.controller.settings.header import RunHeader, arithmetic
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Session, Verification
 
 
 def verify(loop: Loop, frames: list[Frame], folder: Path) -> Session:

@@ -7,17 +7,17 @@ from collections.abc import Callable
 import pytest
 
 import meshpoint
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S, Setup, simulate
+from meshpoint.campaigns.draw import Draw
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import Draw
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, Setup, simulate
 
 SHEET = load_sheet("truck12")
-SEED, SHIFTS = 2, 4
+SEED, SHIFTS = 2, 3
 PAIR = (8, 10)
 
 

@@ -13,7 +13,9 @@ import pytest
 from loop_bench import Loop
 from page_data import page_data
 
+from meshpoint.base.exits import Exit
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.cli.main import main
 from meshpoint.controller.core.core import OWN_ADDRESS
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
@@ -22,9 +24,7 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.open_loop.sensor_replay import SensorReplay
+from meshpoint.replays.sensor_replay import SensorReplay
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "other_bus"
 SHEET = load_sheet("thesis")

@@ -11,11 +11,14 @@ import can
 import pytest
 from loop_bench import SHEET, Loop
 
+from meshpoint.base.version import product_version
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import LISTEN_ONLY, listen_only_words, open_bus_from
+from meshpoint.cli.main import main
+from meshpoint.cli.table import build_parser
 from meshpoint.controller.core.core import OWN_ADDRESS
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
@@ -23,13 +26,10 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, SleevesMain
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
+from meshpoint.logs.sleeve_contacts import SleeveContacts
+from meshpoint.replays.answer import Answer
+from meshpoint.replays.shadow import ShadowCore
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.sleeve_contacts import SleeveContacts
-from meshpoint.testbench.open_loop.answer import Answer
-from meshpoint.testbench.open_loop.shadow import ShadowCore
-from meshpoint.testbench.table import build_parser
-from meshpoint.testbench.version import product_version
 
 SHIFTS = 3
 FIRST_CONTACT = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}

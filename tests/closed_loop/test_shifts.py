@@ -8,6 +8,8 @@ from itertools import pairwise
 import pytest
 from loop_bench import PHASES_US, SHEET, Loop
 
+from meshpoint.base.version import product_version
+from meshpoint.bench.simulate import Setup, simulate
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.shift.table import TRANSITIONS
@@ -32,8 +34,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import MainGear
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.version import product_version
 from meshpoint.units import DEG
 
 State = ControllerState

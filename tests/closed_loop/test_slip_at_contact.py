@@ -6,10 +6,10 @@ from loop_bench import Loop
 
 from meshpoint.dbc.messages import FaultCode, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
+from meshpoint.results.rows import RowCollector, ShiftRow
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.rig_sim.shared.valve_drivers import Valve
-from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 
 TRUCK12 = load_sheet("truck12")
 REQUEST_US = 300_000

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import pytest
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.plan.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.results.rows import ShiftRow
 
 LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
 """Slip falls so slowly that another gap comes before the gear is too slow."""
@@ -22,14 +23,21 @@ HALF_A_RETRY_MS = 250.0
 """A sleeve that meets a tooth and is fired a second time costs some 500 ms (docs/strategy.md)."""
 
 
-def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int, seed: int = SEEDS[0]) -> ShiftRow:
-    """An aimed shift of a rigid gearbox whose firings are said, this many times, to meet a tooth,
-    and from then on to meet a gap."""
+@cache
+def about_to_aim(seed: int) -> ClosedLoop:
+    """A rigid gearbox after three shifts, for all that go on from there in a fork of it."""
     sheet = load_sheet("truck12")
     drawn = draw(seed, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
     loop = ClosedLoop(sheet, PLAIN, Preset.TRUCK, drawn)
     for _ in range(3):
         loop.shift()
+    return loop
+
+
+def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int, seed: int = SEEDS[0]) -> ShiftRow:
+    """An aimed shift whose firings are said, this many times, to meet a tooth, and from then on to
+    meet a gap."""
+    loop = about_to_aim(seed).fork()
     said = iter([True] * doubted)
 
     def doubting(*_asked: Any) -> bool:

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 from meshpoint.bus.logs.reader import read_log
+from meshpoint.cli.main import main
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.truck import TRUCK_SCHEMA
-from meshpoint.testbench.cli import main
 
 OTHERS = {spec.can_id for spec in TRUCK_SCHEMA.messages}
 

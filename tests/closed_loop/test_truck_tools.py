@@ -11,8 +11,8 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import COUNTER_MODULUS, REQUEST_ID, is_intact
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Verification
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Verification
 
 TSC1_ID = CODECS["TSC1"].spec.can_id
 

@@ -22,8 +22,8 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Verification
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Verification
 
 
 @pytest.fixture(scope="module")

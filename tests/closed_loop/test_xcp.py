@@ -11,6 +11,7 @@ import pytest
 from loop_bench import Loop
 from xcp_master import AIM, address_of, master, read, refusal, settings_of, verdict, write
 
+from meshpoint.base.version import product_version
 from meshpoint.controller.settings.header import XcpAccess, load_header, new_header
 from meshpoint.controller.settings.settings import ControllerSettings, SettingsFile
 from meshpoint.controller.xcp.memory import (
@@ -26,11 +27,10 @@ from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.dbc.messages import ShiftResult
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.keys import groups_of
-from meshpoint.testbench.logs.consumption import Consumption
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.version import product_version
-from meshpoint.testbench.watch.story import Story
+from meshpoint.logs.consumption import Consumption
+from meshpoint.logs.story import Story
+from meshpoint.replays.replay import LogReplay
+from meshpoint.replays.session import Verification
 from meshpoint.units import RPM
 
 BOTH = pytest.mark.parametrize("fd", [True, False], ids=["can_fd", "can"])

@@ -13,6 +13,7 @@ from pyxcp.daq_stim import DaqList, DaqRecorder
 from pyxcp.recorder.converter import convert_xmraw
 from xcp_master import master
 
+from meshpoint.bridges.a2l_module import figures
 from meshpoint.controller.xcp.memory import (
     FIGURE_BYTES,
     MEASURED_ADDRESS,
@@ -25,7 +26,6 @@ from meshpoint.controller.xcp.memory import (
     StepFacts,
 )
 from meshpoint.dbc.specs import SignalSpec
-from meshpoint.testbench.a2l.module import figures
 
 BOTH = pytest.mark.parametrize("fd", [True, False], ids=["can_fd", "can"])
 REFERENCE, WORKING = 0, 1

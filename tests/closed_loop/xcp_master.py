@@ -19,6 +19,8 @@ from pyxcp.config import create_application_from_config, set_application
 from pyxcp.master import Master
 from pyxcp.types import XcpResponseError
 
+from meshpoint.base.version import product_version
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.controller.core.core import ControllerCore
@@ -28,9 +30,7 @@ from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.version import product_version
+from meshpoint.replays.replay import LogReplay
 
 # Its recorder asks for one, and would read pytest's command line.
 set_application(create_application_from_config({}, logging.ERROR))

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
+import setuptools.command.build_py  # noqa: F401 (setup.py finds it loaded)
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -36,10 +36,14 @@ def test_what_is_named_is_started_and_the_next_one_before_it_is_named() -> None:
     assert len(classified()) >= 3
     assert started[:-1] == classified()
     assert int(started[-1].split(".")[1]) == int(started[-2].split(".")[1]) + 1
-    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
-    job = workflow.split("\n  pythons:\n")[1].split("\n\n")[0]
-    assert re.findall(r"^ +(3\.\d+)$", job, re.MULTILINE) == started
-    assert "run: make pythons" in job
+    workflows = ROOT / ".github" / "workflows"
+    everywhere = (workflows / "everywhere.yml").read_text(encoding="utf-8")
+    (matrix,) = re.findall(r"^ +python: \[(.*)\]$", everywhere, re.MULTILINE)
+    assert re.findall(r"3\.\d+", matrix) == started
+    assert "run: tools/test-pythons --whole dist/*.whl" in everywhere
+    for caller in ("ci.yml", "release.yml"):
+        text = (workflows / caller).read_text(encoding="utf-8")
+        assert "uses: ./.github/workflows/everywhere.yml\n" in text
     assert "\nbeside pythons\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 

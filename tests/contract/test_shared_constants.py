@@ -110,7 +110,7 @@ def shared() -> dict[str, tuple[str, float]]:
     """Names of the controller that share a number with the rig, and the rig's name for it."""
     return {
         mine: (theirs, key[1])
-        for folder in ("controller", "meshpoint/testbench/identify")
+        for folder in ("controller", "meshpoint/identify")
         for key, pairs in alike(ROOT / folder, ROOT / "rig_sim").items()
         for mine, theirs in pairs
         if mine.split(":")[0] not in OF_A_STANDARD

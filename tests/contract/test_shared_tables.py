@@ -32,7 +32,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.truck import TRUCK_DBC
 from meshpoint.gearbox import MainGear
-from meshpoint.testbench.logs.consumed import RIG_ADDRESSES
+from meshpoint.logs.consumed import RIG_ADDRESSES
 
 DBC = Path(__file__).parents[2] / "dbc" / "meshpoint.dbc"
 

@@ -29,7 +29,7 @@ from meshpoint.controller.settings.learned import (
 )
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
-from meshpoint.testbench.results.tooth_parts import take_apart
+from meshpoint.results.tooth_parts import take_apart
 from meshpoint.units import DEG
 
 ERROR = st.floats(-1.0 * DEG, 1.0 * DEG)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.measure.clock import LONGER_US, MOST_MOVED_US, StepTiming
 from meshpoint.controller.measure.inputs import StepInputs
@@ -19,7 +20,6 @@ from meshpoint.dbc.messages import EdgesInputRise
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
-from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 TICK_US = 10_000
 START_US = 1 << 33

@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.wheel_tracker import ACCELERATION, EDGE_TIME, TURNS, TeethInGear
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
@@ -14,8 +16,6 @@ from meshpoint.controller.settings.settings import ControllerSettings, CrossingF
 from meshpoint.gearbox import load_sheet
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
 
 TUNING = CrossingFilterTuning()
 TEETH, PITCH_DEG, RUNOUT_DEG = 43, 0.28, 0.14

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.bus.light_can import load_can
+
+load_can()  # before cantools loads all of it, pandas too
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "vcan"), str(HERE.parent), str(HERE.parents[1])]
 

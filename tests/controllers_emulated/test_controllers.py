@@ -20,7 +20,7 @@ from devices import CTU, KVASER, SerialAdapter, hurry, queue_counts, slow
 from patience import until
 from vcan_bench import LOOK_S, SPEED, Bench, Command, Wire, ip, meshpoint
 
-from meshpoint.testbench.table import build_parser
+from meshpoint.cli.table import build_parser
 
 build_parser("check")  # loads the command, before anything is forked
 CONGESTED_BIT_S = 1_000

@@ -16,13 +16,13 @@ from typing import Any
 import cantools.database
 import pytest
 
+from meshpoint.cli.vectors import encoded
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.e2e import DEFAULT_LIMITS
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.source import DBC_PATH
 from meshpoint.dbc.truck import TRUCK_DBC
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US, MAX_AHEAD_US, MAX_LATE_US, Valve
-from meshpoint.testbench.help.vectors import encoded
 
 FROZEN = Path(__file__).with_name("frozen_contract.json")
 DBCS = {"fd": DBC_PATH, "classic": CLASSIC_DBC, "truck": TRUCK_DBC}

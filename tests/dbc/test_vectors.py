@@ -6,10 +6,10 @@ import pytest
 from e2e import p05
 from read_dbc import database
 
+from meshpoint.cli.vectors import encoded
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.source import DBC_PATH
-from meshpoint.testbench.help.vectors import encoded
 
 VECTORS = encoded()
 DATABASE = database(DBC_PATH)

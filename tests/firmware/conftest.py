@@ -11,8 +11,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from firmware_bench import CommandBench, emulated_board
 from shared_clock import TwoBoards
 
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import (
+from meshpoint.base.errors import CommandError
+from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.bench.firmware_build import (
     CROSS_COMPILERS,
     IMAGES,
     compiler,
@@ -21,8 +22,7 @@ from meshpoint.testbench.firmware.build import (
     library,
     source_folder,
 )
-from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.testbench.firmware.native_board import NativeBoard
+from meshpoint.bench.native_board import NativeBoard
 
 
 @pytest.fixture(scope="session")

@@ -20,8 +20,8 @@ from pathlib import Path
 import cantools  # noqa: F401 (imported once, before the processes that run the tests)
 import pytest
 
-import meshpoint.rig_sim.shared.valve_drivers
-import meshpoint.testbench.firmware.build  # noqa: F401
+import meshpoint.bench.firmware_build
+import meshpoint.rig_sim.shared.valve_drivers  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "firmware"

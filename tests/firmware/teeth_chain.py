@@ -18,17 +18,17 @@ from typing import NamedTuple
 
 from firmware_bench import AT_REST, BY_ID, WRAP
 
+from meshpoint.bench.firmware_build import BOTH_IMAGES, IMAGES, library, source_folder
+from meshpoint.bench.firmware_rig import EDGES as CHANNEL_OF
+from meshpoint.bench.native_board import CHANNELS, EDGES, WHEELS, NativeBoard
+from meshpoint.bench.schedules import MIXED
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import read_alone
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.firmware.build import BOTH_IMAGES, IMAGES, library, source_folder
-from meshpoint.testbench.firmware.firmware_rig import EDGES as CHANNEL_OF
-from meshpoint.testbench.firmware.native_board import CHANNELS, EDGES, WHEELS, NativeBoard
-from meshpoint.testbench.loop.schedules import MIXED
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
 
 READ_US = 10_000
 DELAY_US = 30_000

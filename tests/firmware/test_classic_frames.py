@@ -18,22 +18,22 @@ from firmware_bench import VALVES, CommandBench, Order, command
 from structures import CCommand, CEdgeRead, CFrame, CReport, CScan
 from test_off import ENDS, go_through_all
 
+from meshpoint.bench.board import Firmware
+from meshpoint.bench.firmware_build import BOTH_IMAGES, library
+from meshpoint.bench.firmware_classic import classic_options
+from meshpoint.bench.native_board import NativeBoard
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.bus.classic.commands import OrderSender
 from meshpoint.bus.classic.edges import EdgeReport, EdgeSender
 from meshpoint.bus.profile import WireProfile
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.build import BOTH_IMAGES, library
-from meshpoint.testbench.firmware.classic import classic_options
-from meshpoint.testbench.firmware.native_board import NativeBoard
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
 
 SHEET = load_sheet("truck12")
 DATABASE = cantools.database.load_file(CLASSIC_DBC)

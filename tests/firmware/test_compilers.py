@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.firmware import build
-from meshpoint.testbench.firmware.native_board import NativeBoard
+from meshpoint.bench import firmware_build as build
+from meshpoint.bench.native_board import NativeBoard
 
 pytestmark = pytest.mark.device
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import (
+from meshpoint.base.errors import CommandError
+from meshpoint.bench.elf import flash_content, segments
+from meshpoint.bench.firmware_build import (
     CROSS_COMPILERS,
     IMAGES,
     cross_compiler,
     source_folder,
 )
-from meshpoint.testbench.firmware.build import image as linked
-from meshpoint.testbench.firmware.elf import flash_content, segments
+from meshpoint.bench.firmware_build import image as linked
+from meshpoint.cli.main import main
 
 FLASH, RAM = range(0x0800_0000, 0x0808_0000), range(0x2000_0000, 0x2001_8000)
 

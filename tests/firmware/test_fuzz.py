@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.firmware.build import (
+from meshpoint.bench.firmware_build import (
     BOTH_IMAGES,
     IMAGES,
     compiled,

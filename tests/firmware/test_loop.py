@@ -12,7 +12,14 @@ from pathlib import Path
 import pytest
 from firmware_bench import CommandBench
 
+from meshpoint.bench import firmware_build as build
+from meshpoint.bench.board import Firmware
+from meshpoint.bench.firmware_rig import FirmwareRig
+from meshpoint.bench.native_board import NativeBoard
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.bus.core import Core
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -31,13 +38,6 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.firmware import build
-from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.firmware_rig import FirmwareRig
-from meshpoint.testbench.firmware.native_board import NativeBoard
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
 
 SHEET = load_sheet("truck12")
 CYCLE_US = 10_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from chip_program import Program
 
-from meshpoint.testbench.errors import CommandError
+from meshpoint.base.errors import CommandError
 
 HARD_FAULT = 3
 SLOT_3 = 18

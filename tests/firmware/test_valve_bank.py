@@ -8,9 +8,9 @@ import random
 import pytest
 from structures import COrder, CValves
 
+from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.messages import ValveAction
 from meshpoint.rig_sim.shared.valve_drivers import Order, ValveBank
-from meshpoint.testbench.firmware.native_board import NativeBoard
 
 PAUSES_US = [0, 1, 999, 1_000, 5_000, 10_000, 10_000, 10_000, 10_000, 40_000, 99_999, 100_000]
 STEPS_US = [-(1 << 31), -150_000, -2_000, 2_000, 99_999, 1 << 30]

@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 from firmware_bench import BY_ID
 
-from meshpoint.dbc.link import read_alone
-from meshpoint.dbc.messages import Message
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.build import (
+from meshpoint.base.errors import CommandError
+from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.bench.cortex_m4.iwdg import LSI_HZ
+from meshpoint.bench.firmware_build import (
     IMAGES,
     image,
     installed_cross_compiler,
     source_folder,
 )
-from meshpoint.testbench.firmware.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.testbench.firmware.cortex_m4.iwdg import LSI_HZ
+from meshpoint.dbc.link import read_alone
+from meshpoint.dbc.messages import Message
 
 STARTED_US = 16_000
 """By then a board is on its bus and its main loop sleeps."""

@@ -24,10 +24,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from log_mutations import damaged, mixed_log
 
+from meshpoint.base.errors import CommandError
 from meshpoint.bus.authentication.frames import AUTHENTICATION_DBC
 from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.pace import PaceError, PaceFile
+from meshpoint.campaigns import stored
+from meshpoint.campaigns.columns import ShiftColumns
+from meshpoint.cli.main import main as meshpoint
+from meshpoint.cli.show_gearbox import sheet_toml
+from meshpoint.cli.show_settings import settings_toml
 from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.header import HeaderError, header_name, load_header, new_header
 from meshpoint.controller.settings.settings import ControllerSettings, load_settings_file
@@ -36,15 +42,9 @@ from meshpoint.dbc.source import DBC_CONTENT
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import TableError
+from meshpoint.logs.capture_files import read_columns
 from meshpoint.rig_sim.truck.as_built import draw_as_built, load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
-from meshpoint.testbench.campaign import stored
-from meshpoint.testbench.campaign.columns import ShiftColumns
-from meshpoint.testbench.cli import main as meshpoint
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.logs.capture_files import read_columns
-from meshpoint.testbench.show.gearbox import sheet_toml
-from meshpoint.testbench.show.settings import settings_toml
 
 SLOW_S = 20.0
 """Of processor time; the largest of these files is read in a hundredth of that."""

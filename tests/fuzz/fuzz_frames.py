@@ -22,6 +22,9 @@ from forged_commands import KEYS
 from hostile import ACCIDENTS, ATTACKS, BENCH, COMMANDS, Hostile
 from loop_bench import PHASES_US, Operator
 
+from meshpoint.base.provenance import product_version
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
 from meshpoint.bus.core import Core, Step
 from meshpoint.controller.core.core import ControllerCore
@@ -40,9 +43,6 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import product_version
 
 SETTLE_US = 600_000
 HOSTILE_US = 500_000

@@ -14,20 +14,20 @@ from benchmarks.studies.settings import load_study_settings
 from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.options import add_bus_arguments, bus_config
+from meshpoint.campaigns.baseline import read_outcomes
+from meshpoint.campaigns.columns import ShiftColumns
+from meshpoint.campaigns.stored import read_shifts
 from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.header import header_name, load_header
 from meshpoint.controller.settings.settings import load_settings
 from meshpoint.controller.settings.strategy_file import read_source
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError, load_toml
+from meshpoint.logs.capture_files import read_columns
+from meshpoint.logs.logged_frames import expected_frames
+from meshpoint.replays.compare_command import load_record
 from meshpoint.rig_sim.truck.as_built import load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
-from meshpoint.testbench.campaign.baseline import read_outcomes
-from meshpoint.testbench.campaign.columns import ShiftColumns
-from meshpoint.testbench.campaign.stored import read_shifts
-from meshpoint.testbench.compare.command import load_record
-from meshpoint.testbench.logs.capture_files import read_columns
-from meshpoint.testbench.logs.logged_frames import expected_frames
 
 AT_ONCE_S = 5.0
 """On a busy machine; they hung, or took 15 s."""

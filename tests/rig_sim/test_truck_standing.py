@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from meshpoint.bench.virtual_time import VirtualTime
+from meshpoint.commission.core import CommissionCore
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.testbench.commission.core import CommissionCore
-from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 SHEET = load_sheet("truck12")
 BRAKED_US = 600_000

@@ -153,6 +153,38 @@ def test_a_registry_that_is_lost_ends_the_bus(
         pair[1].send(can.Message(arbitration_id=1))
 
 
+SENDING = """
+import can, sys
+from meshpoint.bus.silkit.plugin import SilKitBus
+with SilKitBus(registry=sys.argv[1]) as bus:
+    while True:
+        bus.send(can.Message(data=bytes(8)))
+"""
+LEAVING = """
+import sys
+from meshpoint.bus.silkit.plugin import SilKitBus
+for _ in range(10):
+    with SilKitBus(registry=sys.argv[1]) as bus:
+        while bus.recv(0.1) is None:
+            pass
+"""
+
+
+def test_a_node_leaves_while_others_go_on_sending(registry: Any) -> None:
+    sending, leaving = [
+        subprocess.Popen([sys.executable, "-c", words, registry.uri], stdin=subprocess.DEVNULL)
+        for words in (SENDING, LEAVING)
+    ]
+    try:
+        until(lambda: leaving.poll() is not None, "a node that has left ten times")
+        assert sending.poll() is None
+    finally:
+        for each in (sending, leaving):
+            each.kill()
+            each.wait()
+    assert leaving.returncode == 0
+
+
 def test_rig_and_controller_meet_there_and_the_controllers_last_frames_switch_all_valves_off(
     registry: Any,
 ) -> None:

@@ -18,9 +18,9 @@ import pytest
 from patience import HANG_S, family, until
 
 from meshpoint.bus.silkit.plugin import SilKitBus
+from meshpoint.cli.main import main
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ValveCommand
-from meshpoint.testbench.cli import main
 
 pytestmark = pytest.mark.device
 

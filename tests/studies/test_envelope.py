@@ -16,14 +16,14 @@ from benchmarks.envelope.command import main
 from benchmarks.envelope.making import OWN, ROW_FILE, SAID_FILE, Product, Work
 from benchmarks.envelope.rows import DOWN, GROUPS, NEIGHBOURS, ROWS, Row, changes
 from benchmarks.envelope.verdict import FIGURES, Pairs, chance, holm, pairs, verdicts
+from meshpoint.base.errors import CommandError
+from meshpoint.base.exits import Exit
+from meshpoint.campaigns.columns import FIELDS, Shifts
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.stored import write_shifts
+from meshpoint.cli import arguments
+from meshpoint.cli.table import build_parser
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.campaign.columns import FIELDS, Shifts
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.stored import write_shifts
-from meshpoint.testbench.command_line import arguments
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.table import build_parser
 
 TINY = {"gearboxes": 1, "learn": 0, "judged": 1, "profile": "clean"}
 

@@ -21,16 +21,16 @@ from benchmarks.studies.equipment_truth import Parking, WheelRings, WheelRingTee
 from benchmarks.studies.record import Finding, StudyJob
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.run import run_one
+from meshpoint.campaigns.spec import CampaignSpec, Job
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.run import run_one
-from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 
 TRUCK = load_sheet("truck12")
 PARKING = Parking(before_teeth_m=1.5e-3, scatter_m=0.3e-3, least_m=0.5e-3)

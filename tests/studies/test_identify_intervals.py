@@ -13,9 +13,9 @@ from benchmarks.studies.record import Finding, ThesisVerdict
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
 from meshpoint.gearbox import load_sheet
+from meshpoint.identify.identified import Figure, Identified
+from meshpoint.identify.log_reader import LogContent
 from meshpoint.rig_sim.truck.as_built import draw_as_built
-from meshpoint.testbench.identify.identified import Figure, Identified
-from meshpoint.testbench.identify.log_reader import LogContent
 
 GEARBOXES = 50
 

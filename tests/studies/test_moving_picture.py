@@ -12,7 +12,7 @@ import pytest
 from benchmarks.abort_picture import Seen
 from benchmarks.moving_picture import HOLD_S, SLOWER, picture
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.results.rows import ShiftRow
 from meshpoint.units import DEG, MM
 
 SHEET = load_sheet("truck12")

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.studies.registry import STUDY_NAMES, chosen, load
 from benchmarks.studies.settings import load_study_settings
-from meshpoint.testbench.errors import CommandError
+from meshpoint.base.errors import CommandError
 
 FIGURES = {f"figure 6.{number}" for number in range(1, 14)}
 TABLES = {"table 6.1", "table 6.2"}

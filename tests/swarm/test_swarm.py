@@ -88,7 +88,7 @@ def test_what_a_blind_guard_lets_through_is_seen_made_small_and_repeated_from_a_
 ) -> None:
     monkeypatch.setattr(Guard, "passes", lambda self, payload, seen: True)
     monkeypatch.setattr(Guard, "is_proven", True)
-    noise = [Event(400 + 150 * k, "bus_duplicate", 5, 0.02, 40) for k in range(14)]
+    noise = [Event(400 + 500 * k, "bus_duplicate", 5, 0.02, 40) for k in range(4)]
     events = (Event(900, "mad_both_valves", 0, 0.0, 2_000), *noise)
     world = World(6, 8, 1400.0, {}, tuple(sorted(events)), 4_000)
     (broken,) = run(world).broken

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from meshpoint.bench.adapter import AdapterCore, AdapterProfile
+from meshpoint.bench.adapter_profiles import PROFILES, unfit
+from meshpoint.bench.simulate import Setup, simulate
 from meshpoint.bus.core import Step
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.loop.adapter import AdapterCore, AdapterProfile
-from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
-from meshpoint.testbench.loop.simulate import Setup, simulate
 
 SHEET = load_sheet("thesis")
 

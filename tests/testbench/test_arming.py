@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.command_line import arguments
-from meshpoint.testbench.table import build_parser
+from meshpoint.cli import arguments
+from meshpoint.cli.table import build_parser
 
 LOCAL = ""
 REAL = "-i kvaser -c 0"

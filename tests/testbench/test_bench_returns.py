@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from meshpoint.bench.bench import BenchCore, plan_shifts
+from meshpoint.bench.pauses import pauses_of
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import BenchAction, BenchCommand, EngagementEvent, ReferenceEngagement
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
-from meshpoint.testbench.loop.pauses import pauses_of
 
 SHEET = load_sheet("truck12")
 SHIFTS = 3

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.stats import binomtest, ttest_rel
 
-from meshpoint.testbench.results.better import Outcome, by_pairs, sentence
+from meshpoint.results.better import Outcome, by_pairs, sentence
 
 
 def pairs(mine: list[float], theirs: list[float]) -> list[tuple[Outcome, Outcome]]:

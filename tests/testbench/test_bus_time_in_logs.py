@@ -9,22 +9,22 @@ from pathlib import Path
 import can
 import pytest
 
+from meshpoint.base.version import product_version
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.bench.live import LiveRun, run_live
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.bus_stamps import BusStamps
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
+from meshpoint.logs.log_clock import LogClockFit
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.log_clock import LogClockFit
-from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.live import LiveRun, run_live
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
-from meshpoint.testbench.version import product_version
 
 SHEET = load_sheet("thesis")
 BEGAN_S = 1.7e9

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 SIMULATE = [
     "simulate",

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from meshpoint.bus.logs.reader import read_log
+from meshpoint.cli.main import main
 from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EdgesLayshaftFall, EdgesLayshaftRise
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.capture_files import FoundWheel
-from meshpoint.testbench.logs.capture_truth import true_teeth, wrong_teeth
+from meshpoint.logs.capture_files import FoundWheel
+from meshpoint.logs.capture_truth import true_teeth, wrong_teeth
 
 
 def write_changes(

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.simulate import simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import FaultCode, PhaseReference, ShiftOutcome, ShiftResult, Strategy
 from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.report.beliefs import STEP_US, Belief, Beliefs
+from meshpoint.report.cause import cause
+from meshpoint.report.collect import Firing, ReportCollector, ReportShift
+from meshpoint.report.page import page
+from meshpoint.report.run import Report, ReportRun
+from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.logs.beliefs import STEP_US, Belief, Beliefs
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.simulate import simulate
-from meshpoint.testbench.report.cause import cause
-from meshpoint.testbench.report.collect import Firing, ReportCollector, ReportShift
-from meshpoint.testbench.report.page import page
-from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import DEG
 
 SHEET = load_sheet("truck12")

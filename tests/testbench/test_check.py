@@ -18,9 +18,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 from live_command import live
 from patience import until
 
-import meshpoint.testbench.check.command as command
+import meshpoint.commission.check_command as command
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.profile import WireProfile
+from meshpoint.cli.main import main
+from meshpoint.commission.finding import Finding, Verdict, answer
+from meshpoint.commission.interface import LinkError, judge_link, link_of
+from meshpoint.commission.listener import Listener
+from meshpoint.commission.shafts import Shaft, judge_turned
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import EdgesInputRise, EdgesLayshaftRise, EdgesMainRise, GearboxSensors
@@ -28,11 +33,6 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.check.finding import Finding, Verdict, answer
-from meshpoint.testbench.check.interface import LinkError, judge_link, link_of
-from meshpoint.testbench.check.listener import Listener
-from meshpoint.testbench.check.shafts import Shaft, judge_turned
-from meshpoint.testbench.cli import main
 
 SHEET = load_sheet("truck12")
 SECONDS = 4.0

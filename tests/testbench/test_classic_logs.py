@@ -9,15 +9,15 @@ import pytest
 from meshpoint.bus.classic.cores import ClassicRigCore, listener_unpacker
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.profile import WireProfile
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.cli.main import main
+from meshpoint.commission.finding import Verdict
+from meshpoint.commission.listener import Listener
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.check.finding import Verdict
-from meshpoint.testbench.check.listener import Listener
-from meshpoint.testbench.cli import main
 
 SHEET = load_sheet("truck12")
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.command_line.parsing import EXAMPLES, subparsers
-from meshpoint.testbench.results.output import check_apart, check_writable
-from meshpoint.testbench.table import COMMANDS, MOVED, build_parser, front_parser
+from meshpoint.cli.main import main
+from meshpoint.cli.parsing import EXAMPLES, subparsers
+from meshpoint.cli.table import COMMANDS, MOVED, build_parser, front_parser
+from meshpoint.results.output import check_apart, check_writable
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -211,7 +211,7 @@ def test_simulate_prints_nothing_but_json_where_json_is_asked_for(
 
 LOADED = """
 import sys
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 try:
     main(sys.argv[1:])
 finally:

@@ -6,6 +6,22 @@ from dataclasses import replace
 
 import pytest
 
+from meshpoint.bench.virtual_time import VirtualTime
+from meshpoint.commission.core import CONSENT_US, PULSE_US, CommissionCore
+from meshpoint.commission.drawn import draw_sheet, withheld
+from meshpoint.commission.finding import Verdict
+from meshpoint.commission.measured import commissioned
+from meshpoint.commission.rehearsal import (
+    LIMIT_US,
+    Miswiring,
+    Rehearsed,
+    draw_miswiring,
+    rehearse,
+)
+from meshpoint.commission.shafts import Shaft
+from meshpoint.commission.standing import standing_figures
+from meshpoint.commission.verdict import judge_outputs
+from meshpoint.commission.whole import WholeCommission
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction, ValveCommand
@@ -15,22 +31,6 @@ from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
-from meshpoint.testbench.check.finding import Verdict
-from meshpoint.testbench.check.shafts import Shaft
-from meshpoint.testbench.commission.core import CONSENT_US, PULSE_US, CommissionCore
-from meshpoint.testbench.commission.drawn import draw_sheet, withheld
-from meshpoint.testbench.commission.measured import commissioned
-from meshpoint.testbench.commission.rehearsal import (
-    LIMIT_US,
-    Miswiring,
-    Rehearsed,
-    draw_miswiring,
-    rehearse,
-)
-from meshpoint.testbench.commission.standing import standing_figures
-from meshpoint.testbench.commission.verdict import judge_outputs
-from meshpoint.testbench.commission.whole import WholeCommission
-from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 SHEET = load_sheet("truck12")
 V = ValveName

@@ -14,11 +14,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from live_command import live
 
+from meshpoint.base.errors import CommandError
+from meshpoint.bench.board import Firmware
+from meshpoint.bench.boards import board_of
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.boards import board_of
 
 pytestmark = pytest.mark.timeout(900)
 

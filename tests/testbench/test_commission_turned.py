@@ -12,6 +12,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from meshpoint.bench.virtual_time import VirtualTime
+from meshpoint.commission.core import CONSENT_US, CommissionCore
+from meshpoint.commission.drawn import draw_sheet, withheld
+from meshpoint.commission.edge_log import EdgeLog, State
+from meshpoint.commission.finding import Verdict
+from meshpoint.commission.kiss import kiss_points
+from meshpoint.commission.measured import (
+    Commissioned,
+    _meshes,
+    _wheels,
+    commissioned,
+    with_entries,
+)
+from meshpoint.commission.rehearsal import (
+    POSITION_PAIRS,
+    Hearing,
+    MiswiredRig,
+    Miswiring,
+    findings_of,
+)
+from meshpoint.commission.roles import Turning, judge_turning
+from meshpoint.commission.running import RunningCore
+from meshpoint.commission.shafts import Shaft
+from meshpoint.commission.standing import standing_figures
+from meshpoint.commission.trial import EXPECTED
+from meshpoint.commission.wheels import (
+    GEAR_STATES,
+    HIGH_STATE,
+    SPLIT_STATES,
+    fraction_of,
+    tooth_count,
+)
+from meshpoint.commission.whole import WholeCommission, wires_of
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
@@ -32,39 +65,6 @@ from meshpoint.gearbox.tables import parse_toml, read_group
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
-from meshpoint.testbench.check.finding import Verdict
-from meshpoint.testbench.check.shafts import Shaft
-from meshpoint.testbench.commission.core import CONSENT_US, CommissionCore
-from meshpoint.testbench.commission.drawn import draw_sheet, withheld
-from meshpoint.testbench.commission.edge_log import EdgeLog, State
-from meshpoint.testbench.commission.kiss import kiss_points
-from meshpoint.testbench.commission.measured import (
-    Commissioned,
-    _meshes,
-    _wheels,
-    commissioned,
-    with_entries,
-)
-from meshpoint.testbench.commission.rehearsal import (
-    POSITION_PAIRS,
-    Hearing,
-    MiswiredRig,
-    Miswiring,
-    findings_of,
-)
-from meshpoint.testbench.commission.roles import Turning, judge_turning
-from meshpoint.testbench.commission.running import RunningCore
-from meshpoint.testbench.commission.standing import standing_figures
-from meshpoint.testbench.commission.trial import EXPECTED
-from meshpoint.testbench.commission.wheels import (
-    GEAR_STATES,
-    HIGH_STATE,
-    SPLIT_STATES,
-    fraction_of,
-    tooth_count,
-)
-from meshpoint.testbench.commission.whole import WholeCommission, wires_of
-from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 TRUCK = load_sheet("truck12")
 WIRES = {SleeveSide(*moved): valve for valve, moved in EXPECTED.items()}

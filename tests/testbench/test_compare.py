@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 RUN = ["simulate", "--preset", "thesis", "--shifts", "2"]
 Runs = dict[str, Path]

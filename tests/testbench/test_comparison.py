@@ -7,14 +7,13 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from meshpoint.bench.simulate import Setup, simulate
+from meshpoint.campaigns.figures import frontier
 from meshpoint.controller.plan.strategist import STRATEGIES
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.campaign.figures import frontier
-from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.report.collect import ReportCollector
-from meshpoint.testbench.report.comparison import (
+from meshpoint.report.collect import ReportCollector
+from meshpoint.report.comparison import (
     KNOWN,
     LEARNING,
     STRATEGY_WORDS,
@@ -25,9 +24,10 @@ from meshpoint.testbench.report.comparison import (
     strategies_explained,
     verdict,
 )
-from meshpoint.testbench.report.page import page
-from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.report.page import page
+from meshpoint.report.run import Report, ReportRun
+from meshpoint.results.rows import ShiftRow
+from meshpoint.rig_sim.settings import Preset
 
 SHEET = load_sheet("truck12")
 GEARBOX = "sheet truck12, profile typical"

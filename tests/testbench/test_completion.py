@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.cli.main import main
+from meshpoint.cli.table import COMMANDS
 from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.table import COMMANDS
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from meshpoint.bridges.sample_clock import LiveTies
+from meshpoint.bridges.series import TOPICS, TimeSeries
 from meshpoint.bus.logs.files import read_logs
+from meshpoint.cli.main import main
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import (
@@ -27,9 +30,6 @@ from meshpoint.dbc.messages import (
     SleevesMain,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.convert.sample_clock import LiveTies
-from meshpoint.testbench.convert.series import TOPICS, TimeSeries
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "viewers"
 MS = 1_000

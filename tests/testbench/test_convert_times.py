@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.cli.main import main
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
@@ -31,7 +32,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.truck import TRUCK_SCHEMA
-from meshpoint.testbench.cli import main
 
 START_US = (1 << 32) - 700_000
 """The sensors' clock at the first read; it wraps 0.7 s later."""

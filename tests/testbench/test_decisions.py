@@ -20,8 +20,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.open_loop.judged import Judged, judge
-from meshpoint.testbench.open_loop.trajectory import Said, Trajectory
+from meshpoint.report.judged import Judged, judge
+from meshpoint.report.trajectory import Said, Trajectory
 from meshpoint.units import DEG
 
 REQUEST_US = (1 << 32) - 50_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.testbench.logs.envelope import MOST_SPANS, Envelope
+from meshpoint.replays.envelope import MOST_SPANS, Envelope
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 50.0), st.floats(-1e4, 1e4)), min_size=1, max_size=60))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from meshpoint.bench.simulate import Setup, simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim import Preset, RigCore, RigSettings
-from meshpoint.testbench.loop.simulate import Setup, simulate
 
 SHEET = load_sheet("thesis")
 WRAPS_EARLY = 3

@@ -17,6 +17,8 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
+from meshpoint.bridges.driven_rig import DrivenRig, Inputs, outputs
+from meshpoint.cli.main import main
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import (
@@ -34,8 +36,6 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.fmu.driven_rig import DrivenRig, Inputs, outputs
 
 SEED, STEP_US = 3, 10_000
 CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)

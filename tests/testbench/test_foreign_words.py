@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from rich.text import Text
 
+from meshpoint.campaigns.table import records_table
+from meshpoint.cli.main import main
+from meshpoint.cli.show_gearbox import sheet_toml
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.plain_text import plain
-from meshpoint.testbench.campaign.table import records_table
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.results.output import complain, console
-from meshpoint.testbench.show.gearbox import sheet_toml
+from meshpoint.results.output import complain, console
 
 RED = "\x1b[31mred"
 TURNED = "a\u202eb\u2066c\u200fd"

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.base.errors import CommandError, RunError
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.errors import CommandError, RunError
-from meshpoint.testbench.results.output import write_json
+from meshpoint.results.output import write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 FULL = Path("/dev/full")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.cli.main import main
 from meshpoint.gearbox import drive_gear, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
-from meshpoint.testbench.cli import main
 
 TRUCK12 = Path(__file__).parents[2] / "meshpoint" / "gearbox" / "sheets" / "truck12.toml"
 

@@ -12,9 +12,8 @@ from logged_gearbox import DELAY_S, EDGES, GAIN, SHEET, TAU_S, braked, runs
 from scipy.integrate import quad
 
 from meshpoint.gearbox import Split
-from meshpoint.kernels.records import Vector
-from meshpoint.testbench.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
-from meshpoint.testbench.identify.brake_trajectory import (
+from meshpoint.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
+from meshpoint.identify.brake_trajectory import (
     COUNT,
     GRID_S,
     LAMINAR_FROM,
@@ -29,8 +28,9 @@ from meshpoint.testbench.identify.brake_trajectory import (
     prior_of,
     time_constant_s,
 )
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.identify.identify import identify
+from meshpoint.identify.log_reader import LogContent
+from meshpoint.kernels.records import Vector
 from meshpoint.units import BAR, RPM
 
 ATMOSPHERE_PA = SHEET.air.atmosphere_pa

@@ -12,12 +12,12 @@ from scipy.stats import t as student_law
 
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SheetError
-from meshpoint.testbench.identify.identified import Figure, Identified, why_no_runs
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.jackknife import jackknife_sd, scatter_interval, student
-from meshpoint.testbench.identify.log_reader import LogContent
-from meshpoint.testbench.identify.overlay import entries, overlay
-from meshpoint.testbench.identify.thinning import Thinned
+from meshpoint.identify.identified import Figure, Identified, why_no_runs
+from meshpoint.identify.identify import identify
+from meshpoint.identify.jackknife import jackknife_sd, scatter_interval, student
+from meshpoint.identify.log_reader import LogContent
+from meshpoint.identify.overlay import entries, overlay
+from meshpoint.identify.thinning import Thinned
 
 FIGURES = {
     "brake torque": 91.5,

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from meshpoint.gearbox import Sleeve, load_sheet
-from meshpoint.testbench.identify.identified import Identified
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.identify.identified import Identified
+from meshpoint.identify.identify import identify
+from meshpoint.identify.log_reader import LogContent
 
 sys.path.append(str(Path(__file__).parent.parent / "controller"))
 

@@ -13,11 +13,11 @@ from scipy.stats import t as student_law
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.tracked import Contact
 from meshpoint.gearbox import MainGear
-from meshpoint.testbench.identify.clutch_fit import touch_of, touches
-from meshpoint.testbench.identify.identified import Identified
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.log_reader import Closing, LogContent
-from meshpoint.testbench.identify.sleeve_fit import SleeveFit, sleeve_fit
+from meshpoint.identify.clutch_fit import touch_of, touches
+from meshpoint.identify.identified import Identified
+from meshpoint.identify.identify import identify
+from meshpoint.identify.log_reader import Closing, LogContent
+from meshpoint.identify.sleeve_fit import SleeveFit, sleeve_fit
 
 FIRED_US, DELAY_MS = 5_000_000, 1e3 * SHEET.sleeve.delay_s
 Seen = tuple[MainGear, Contact]

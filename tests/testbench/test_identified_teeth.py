@@ -12,10 +12,10 @@ import pytest
 from logged_gearbox import EDGES as LAYSHAFT_EDGES
 from logged_gearbox import SHEET, STEP_S, TEETH, crossings, runs
 
+from meshpoint.identify.identify import identify
+from meshpoint.identify.log_reader import LogContent, Wheel
+from meshpoint.identify.tooth_fit import ToothFit, tooth_fit, wheel_figures
 from meshpoint.kernels.records import Vector
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.log_reader import LogContent, Wheel
-from meshpoint.testbench.identify.tooth_fit import ToothFit, tooth_fit, wheel_figures
 from meshpoint.units import TURN
 
 JUDDER = 4

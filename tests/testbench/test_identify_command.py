@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.cli import main
+from meshpoint.cli.main import main
 
 SHEET = (
     'based_on = "truck12"\nname = "own"\n[wheels.layshaft]\nteeth = 50\n[wheels.main]\nteeth = 60\n'

@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from live_command import live
 
 from meshpoint.bus.logs.reader import read_log
+from meshpoint.cli.interrupt import interruptible
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome
-from meshpoint.testbench.command_line.interrupt import interruptible
 
 OUTCOME = f"{CODECS[ShiftOutcome.__name__].spec.can_id:08X}##"
 pytestmark = pytest.mark.timeout(900)

@@ -212,8 +212,8 @@ from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.run.warm_up import warm_up
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
 
 def made():
     return {each.py_func.__qualname__: len(each.overloads) for each in gc.get_objects()

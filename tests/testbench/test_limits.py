@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.results.limits import MEANINGS, Limit, figures, judge, parse_limit
-from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.cli.main import main
+from meshpoint.results.limits import MEANINGS, Limit, figures, judge, parse_limit
+from meshpoint.results.rows import ShiftRow, summarise
 
 ROOT = Path(__file__).parents[2]
 ROW = ShiftRow(

@@ -10,21 +10,21 @@ from pathlib import Path
 import can
 import pytest
 
+from meshpoint.base.errors import RunError
+from meshpoint.base.version import product_version
+from meshpoint.bench import live
+from meshpoint.bench.bench import plan_shifts
+from meshpoint.bench.live import LiveRun, run_live
+from meshpoint.bench.simulate import LAYSHAFT_RAD_S
 from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
+from meshpoint.replays.replay import LogReplay
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.errors import RunError
-from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.loop import live
-from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.live import LiveRun, run_live
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
-from meshpoint.testbench.version import product_version
 
 SHEET = load_sheet("truck12")
 

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.base.exits import Exit
+from meshpoint.bench.loaded_bus import own_load
+from meshpoint.bench.simulate import Setup, simulate
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.bus.simulated.filler import FillerTraffic, draw_filler
 from meshpoint.bus.simulated.frame_bits import BitTiming
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.loop.loaded_bus import own_load
-from meshpoint.testbench.loop.simulate import Setup, simulate
 
 OURS = {spec.can_id for spec in SCHEMA.messages}
 

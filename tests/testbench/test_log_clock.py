@@ -16,14 +16,14 @@ from typing import Any
 
 import pytest
 
+from meshpoint.base.exits import Exit
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.cli.main import main
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.identify.brake_figures import BRAKE_FIGURES
-from meshpoint.testbench.logs.log_clock import LogClock, LogClockFit
+from meshpoint.identify.brake_figures import BRAKE_FIGURES
+from meshpoint.logs.log_clock import LogClock, LogClockFit
 
 SHIFTS = 6
 Frames = list[tuple[float, Frame]]

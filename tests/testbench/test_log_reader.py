@@ -26,12 +26,12 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import MainGear, Range, Sleeve, Split, load_sheet
-from meshpoint.testbench.identify.log_reader import (
+from meshpoint.identify.log_reader import (
     FreeRun,
     LogContent,
     LogReader,
 )
-from meshpoint.testbench.identify.valve_switches import BRAKE, Switch, ValveSwitches
+from meshpoint.identify.valve_switches import BRAKE, Switch, ValveSwitches
 
 SHEET = load_sheet("truck12")
 STROKE_M = SHEET.sleeve.stroke_m

@@ -10,9 +10,8 @@ import time
 
 import pytest
 
-from meshpoint.bus.slowness import times_slower
-from meshpoint.testbench.loop.compiling import FIRST_LINE, KERNELS, Progress, why_compiled
-from meshpoint.testbench.loop.node_patience import (
+from meshpoint.bench.compiling import FIRST_LINE, KERNELS, Progress, why_compiled
+from meshpoint.bench.node_patience import (
     NODE_QUIET_US,
     SHIFT_SILENCE_US,
     Heard,
@@ -22,6 +21,7 @@ from meshpoint.testbench.loop.node_patience import (
     not_started,
     taken,
 )
+from meshpoint.bus.slowness import times_slower
 
 
 def test_a_node_without_a_processor_is_given_more_time() -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import meshpoint
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.command_line import arguments
-from meshpoint.testbench.table import build_parser
+from meshpoint.cli import arguments
+from meshpoint.cli.main import main
+from meshpoint.cli.table import build_parser
 
 OF = "sheet truck12, profile typical"
 

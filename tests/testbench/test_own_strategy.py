@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from meshpoint.bus.logs.files import read_logs
+from meshpoint.cli.main import main
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ShiftOutcome, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.cli import main
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CLASS = "NextGap"

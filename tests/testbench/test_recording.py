@@ -20,9 +20,9 @@ from meshpoint.bus.frames import frame_of
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.reader import LogError, read_log
+from meshpoint.cli.main import main
 from meshpoint.dbc.frame import Frame
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.replay import STATUS
+from meshpoint.replays.replay import STATUS
 
 ROOT = Path(__file__).resolve().parents[2]
 

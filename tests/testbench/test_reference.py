@@ -9,6 +9,11 @@ from pathlib import Path
 import cantools.database
 import pytest
 
+from meshpoint.cli.main import main
+from meshpoint.cli.reference import PAGES
+from meshpoint.cli.reference import main as reference
+from meshpoint.cli.show_gearbox import sheet_toml
+from meshpoint.cli.show_settings import settings_toml
 from meshpoint.controller.settings.settings import (
     ControllerSettings,
     Outputs,
@@ -18,11 +23,6 @@ from meshpoint.controller.settings.settings import (
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, unit_of
 from meshpoint.gearbox.sheet import SHEET_NAMES
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.help.reference import PAGES
-from meshpoint.testbench.help.reference import main as reference
-from meshpoint.testbench.show.gearbox import sheet_toml
-from meshpoint.testbench.show.settings import settings_toml
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "reference"
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from page_data import page_data
 
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.cli.main import main
+from meshpoint.results.rows import ShiftRow
 
 Replayed = tuple[dict[str, Any], dict[str, Any], str]
 SHIFTS = 3

@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.command_line import log_progress
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.logged_frames import expected_frames
-from meshpoint.testbench.replay.rows import ReplayRows
-from meshpoint.testbench.results.output import write_json
+from meshpoint.base.exits import Exit
+from meshpoint.cli.main import main
+from meshpoint.logs import log_progress
+from meshpoint.logs.logged_frames import expected_frames
+from meshpoint.replays.replay_rows import ReplayRows
+from meshpoint.results.output import write_json
 
 SHORT, LONG = 1, 2
 SHIFTS_OF_A_DAY = 24 * 120

@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 from page_data import page_data
 from scipy.stats import binomtest
 
+from meshpoint.bench.simulate import Setup, simulate
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,
@@ -26,16 +28,14 @@ from meshpoint.dbc.messages import (
     Strategy,
 )
 from meshpoint.gearbox import load_sheet
+from meshpoint.report.collect import ReportCollector
+from meshpoint.report.page import page
+from meshpoint.report.phase import onto_branch, unwrapped_deg
+from meshpoint.report.run import Report, ReportRun
+from meshpoint.report.write import report_data, report_provenance, write_report
+from meshpoint.results.rows import ShiftRow
+from meshpoint.results.wilson import wilson
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.report.collect import ReportCollector
-from meshpoint.testbench.report.page import page
-from meshpoint.testbench.report.phase import onto_branch, unwrapped_deg
-from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.report.write import report_data, report_provenance, write_report
-from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.results.wilson import wilson
 
 SHEET = load_sheet("thesis")
 PITCH_DEG = 7.5

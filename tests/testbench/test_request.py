@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-import meshpoint.testbench.live.request as command
+import meshpoint.run.request as command
+from meshpoint.base.exits import Exit
 from meshpoint.bus.frames import frame_of
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -22,8 +23,7 @@ from meshpoint.dbc.messages import (
     ShiftResult,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.results.faults import MEANING, STALE_FAULTS, explain
+from meshpoint.results.faults import MEANING, STALE_FAULTS, explain
 
 GEAR = 10
 Answer = Callable[["Bench"], Iterator[Message]]
@@ -239,6 +239,6 @@ def test_a_controller_on_a_slow_machine_may_be_silent_for_longer(monkeypatch, ca
         return speak(timeout)
 
     monkeypatch.setattr(bench, "recv", pauses)
-    monkeypatch.setattr("meshpoint.testbench.live.request.times_slower", lambda: 10.0)
+    monkeypatch.setattr("meshpoint.run.request.times_slower", lambda: 10.0)
     code, _, said = ask(bench, monkeypatch, capsys, timeout=2.0)
     assert "silent" not in said, code

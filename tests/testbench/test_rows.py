@@ -21,9 +21,9 @@ from meshpoint.dbc.messages import (
     Strategy,
 )
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.results.output import rows_table
-from meshpoint.testbench.results.road_speed import span_us
-from meshpoint.testbench.results.rows import RowCollector, ShiftRow, summarise
+from meshpoint.results.output import rows_table
+from meshpoint.results.road_speed import span_us
+from meshpoint.results.rows import RowCollector, ShiftRow, summarise
 from meshpoint.units import DEG, RPM
 
 SHEET = load_sheet("thesis")

@@ -9,8 +9,8 @@ import pytest
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
-from meshpoint.testbench.logs.seen_shift import SeenShift
-from meshpoint.testbench.logs.sleeve_contacts import ShiftWatch
+from meshpoint.logs.seen_shift import SeenShift
+from meshpoint.logs.sleeve_contacts import ShiftWatch
 from meshpoint.units import MM
 
 SHEET = load_sheet("truck12")

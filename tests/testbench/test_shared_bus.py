@@ -6,18 +6,18 @@ from collections.abc import Callable
 
 import pytest
 
+from meshpoint.bench.adapter_profiles import PROFILES
+from meshpoint.bench.bench_builder import virtual_bench
+from meshpoint.bench.setup import Setup
+from meshpoint.bench.shared_bus import WINDOW_US, Elsewhere, HandOver, SharedBus
+from meshpoint.bench.simulate import rig_of, simulate
+from meshpoint.bench.virtual_bus import VirtualBus, duration_us
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.bus.core import Step
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.loop.adapter_profiles import PROFILES
-from meshpoint.testbench.loop.bench_builder import virtual_bench
-from meshpoint.testbench.loop.setup import Setup
-from meshpoint.testbench.loop.shared_bus import WINDOW_US, Elsewhere, HandOver, SharedBus
-from meshpoint.testbench.loop.simulate import rig_of, simulate
-from meshpoint.testbench.loop.virtual_bus import VirtualBus, duration_us
-from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 TRUCK12 = load_sheet("truck12")
 

@@ -9,8 +9,8 @@ import pytest
 from meshpoint.dbc.messages import EngagementEvent as E
 from meshpoint.dbc.messages import MainGear, ReferenceEngagement
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
-from meshpoint.testbench.results.shift_parts import DURING, closing_since_us, parts_of
+from meshpoint.results.kinematic_bound import kinematic_bound_ms
+from meshpoint.results.shift_parts import DURING, closing_since_us, parts_of
 
 TRUCK12 = load_sheet("truck12")
 MAIN_RAD_S = 1400.0 * math.pi / 30.0 * TRUCK12.main_mesh(MainGear.FIRST).ratio

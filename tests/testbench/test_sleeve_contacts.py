@@ -8,7 +8,7 @@ import pytest
 from meshpoint.dbc.messages import SleevesMain
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
-from meshpoint.testbench.logs.sleeve_contacts import SeenContact, SleeveContacts
+from meshpoint.logs.sleeve_contacts import SeenContact, SleeveContacts
 from meshpoint.units import MM
 
 SHEET = load_sheet("truck12")

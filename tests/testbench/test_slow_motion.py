@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from browser import browse
 
+from meshpoint.bench.simulate import Setup, simulate
+from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
@@ -17,13 +19,11 @@ from meshpoint.dbc.messages import ReferencePhase
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.report.collect import ReportCollector
+from meshpoint.report.run import Report, ReportRun
+from meshpoint.report.write import report_provenance, write_report
+from meshpoint.results.rows import is_aimed
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.report.collect import ReportCollector
-from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.report.write import report_provenance, write_report
-from meshpoint.testbench.results.rows import is_aimed
 from meshpoint.units import DEG
 
 SHEET = load_sheet("thesis")

@@ -16,7 +16,7 @@ from rich.markup import render
 from rich.table import Table
 
 import benchmarks
-import meshpoint.testbench
+import meshpoint
 from benchmarks.envelope.table import on_screen
 from benchmarks.studies import command as study_command
 from benchmarks.studies.record import Finding, Statement, ThesisVerdict
@@ -24,6 +24,17 @@ from benchmarks.studies.registry import STUDY_NAMES, load
 from benchmarks.studies.runner import StudyRecord
 from benchmarks.swarm.command import reached_table
 from benchmarks.swarm.swarm import Swarm
+from meshpoint.campaigns import table as campaign_table
+from meshpoint.campaigns.record import JudgedShift
+from meshpoint.campaigns.verdict_words import against_table
+from meshpoint.cli import show_calibration as calibration_command
+from meshpoint.cli import show_gearbox as gearbox_command
+from meshpoint.cli import show_messages as messages_command
+from meshpoint.cli.main import main
+from meshpoint.commission.check_command import findings_table
+from meshpoint.commission.commission_command import measured_table
+from meshpoint.commission.finding import Finding as CheckFinding
+from meshpoint.commission.finding import Verdict
 from meshpoint.controller.run.kept import read_file
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import STRATEGY_NAMES
@@ -31,34 +42,23 @@ from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.derived import sheet_figures
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.identify.held_out import HeldOut
+from meshpoint.identify.identify import identify
+from meshpoint.identify.identify_command import checks_table, figures_table
+from meshpoint.identify.log_reader import LogContent
+from meshpoint.logs import captures_command
+from meshpoint.logs.captures import CaptureRow
+from meshpoint.logs.seen_shift import SeenShift
+from meshpoint.replays import compare_command
+from meshpoint.replays.replay_sensors import seen_table
+from meshpoint.report.comparison import compare, comparison_table
+from meshpoint.report.judged import Decision, Judged, Parting
+from meshpoint.report.judged_rows import JudgedRow, judged_table
+from meshpoint.results.output import rows_table
+from meshpoint.results.rows import ShiftRow
+from meshpoint.results.shift_parts import PARTS
 from meshpoint.rig_sim.truck.as_built import draw_as_built
-from meshpoint.testbench.campaign import table as campaign_table
-from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.verdict_words import against_table
-from meshpoint.testbench.captures import command as captures_command
-from meshpoint.testbench.check.command import findings_table
-from meshpoint.testbench.check.finding import Finding as CheckFinding
-from meshpoint.testbench.check.finding import Verdict
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.commission.command import measured_table
-from meshpoint.testbench.compare import command as compare_command
-from meshpoint.testbench.identify.command import checks_table, figures_table
-from meshpoint.testbench.identify.held_out import HeldOut
-from meshpoint.testbench.identify.identify import identify
-from meshpoint.testbench.identify.log_reader import LogContent
-from meshpoint.testbench.live.describe import faults_table, parameters_table
-from meshpoint.testbench.logs.captures import CaptureRow
-from meshpoint.testbench.logs.seen_shift import SeenShift
-from meshpoint.testbench.open_loop.judged import Decision, Judged, Parting
-from meshpoint.testbench.open_loop.judged_rows import JudgedRow, judged_table
-from meshpoint.testbench.replay.sensors import seen_table
-from meshpoint.testbench.report.comparison import compare, comparison_table
-from meshpoint.testbench.results.output import rows_table
-from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.results.shift_parts import PARTS
-from meshpoint.testbench.show import calibration as calibration_command
-from meshpoint.testbench.show import gearbox as gearbox_command
-from meshpoint.testbench.show import messages as messages_command
+from meshpoint.run.describe import faults_table, parameters_table
 
 WIDTH = 80
 LONGEST = "speed_window_anticipating"
@@ -200,24 +200,24 @@ TABLES: dict[str, Callable[[], Table]] = {
         compare({name: [ROW] * 1000 for name in STRATEGIES}), GEARBOX
     ),
     "envelope.table.on_screen": lambda: on_screen(envelope_values(), "title"),
-    "campaign.table._strategies": lambda: of_a_campaign(campaign_values())[0],
-    "campaign.table._parts": lambda: of_a_campaign(campaign_values())[-2],
-    "campaign.table._ratios": lambda: of_a_campaign(campaign_values())[-1],
-    "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
-    "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
-    "open_loop.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
+    "campaigns.table._strategies": lambda: of_a_campaign(campaign_values())[0],
+    "campaigns.table._parts": lambda: of_a_campaign(campaign_values())[-2],
+    "campaigns.table._ratios": lambda: of_a_campaign(campaign_values())[-1],
+    "campaigns.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
+    "campaigns.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
+    "report.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "swarm.command.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
-    "compare.command.compared_table": lambda: compare_command.compared_table(
+    "replays.compare_command.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
     ),
-    "check.command.findings_table": lambda: findings_table(
+    "commission.check_command.findings_table": lambda: findings_table(
         [
             CheckFinding(
                 "shafts", "layshaft to propeller, main gear second", Verdict.UNKNOWN, "of " * 50
             )
         ]
     ),
-    "commission.command.measured_table": lambda: measured_table(
+    "commission.commission_command.measured_table": lambda: measured_table(
         [
             {
                 "key": "clutch.kiss_tolerance_percent",
@@ -228,18 +228,18 @@ TABLES: dict[str, Callable[[], Table]] = {
             }
         ]
     ),
-    "identify.command.figures_table": lambda: figures_table(
+    "identify.identify_command.figures_table": lambda: figures_table(
         [
             replace(one, value=-0.01234, low=-0.01987, high=-0.01123, sheet=-0.01234, samples=1234)
             for one in identify(LogContent(), load_sheet("truck12")).figures
         ]
     ),
-    "identify.command.checks_table": lambda: checks_table(
+    "identify.identify_command.checks_table": lambda: checks_table(
         [HeldOut("layshaft speed at the end of a run", "rpm", 12_345, 0.00012345, 0.00012345)]
     ),
-    "captures.command.counts_table": lambda: captures_command.counts_table([CAPTURE]),
-    "captures.command.errors_table": lambda: captures_command.errors_table([CAPTURE]),
-    "replay.sensors.seen_table": lambda: seen_table(
+    "logs.captures_command.counts_table": lambda: captures_command.counts_table([CAPTURE]),
+    "logs.captures_command.errors_table": lambda: captures_command.errors_table([CAPTURE]),
+    "replays.replay_sensors.seen_table": lambda: seen_table(
         "shifts that the log shows, by the ratio of speeds",
         [SeenShift(10, 12, 86_400_000_000, 86_400_500_000)],
     ),
@@ -249,18 +249,18 @@ TABLES: dict[str, Callable[[], Table]] = {
     "studies.command._table": lambda: study_command._table(
         [study_record(name) for name in STUDY_NAMES]
     ),
-    "live.describe.parameters_table": lambda: parameters_table(
+    "run.describe.parameters_table": lambda: parameters_table(
         draw_as_built(7, {}), {"brake_gain": 1.0}
     ),
-    "live.describe.faults_table": faults_table,
-    "show.messages.messages_table": messages_command.messages_table,
-    "show.messages.signals_table": lambda: messages_command.signals_table(SCHEMA.messages[11]),
-    "show.gearbox._gear_table": lambda: gearbox_command._gear_table(
+    "run.describe.faults_table": faults_table,
+    "cli.show_messages.messages_table": messages_command.messages_table,
+    "cli.show_messages.signals_table": lambda: messages_command.signals_table(SCHEMA.messages[11]),
+    "cli.show_gearbox._gear_table": lambda: gearbox_command._gear_table(
         load_sheet("truck12"), sheet_figures(load_sheet("truck12"))
     ),
 }
 """By module and function; those of `show calibration` need a file and stand below."""
-WITH_A_FILE = ("show.calibration._wheel_table", "show.calibration._gear_table")
+WITH_A_FILE = ("cli.show_calibration._wheel_table", "cli.show_calibration._gear_table")
 
 
 def check(table: Table) -> None:
@@ -328,7 +328,7 @@ def test_the_signals_of_each_message_fit_80_columns(message: Any) -> None:
 def makers() -> set[str]:
     """Every function of the command line that makes a table for a terminal."""
     found = set()
-    roots = (Path(meshpoint.testbench.__file__).parent, Path(benchmarks.__file__).parent)
+    roots = (Path(meshpoint.__file__).parent, Path(benchmarks.__file__).parent)
     for root, path in ((folder, path) for folder in roots for path in folder.rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         if "from rich.table import Table" not in ast.unparse(tree):

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from meshpoint.bus.logs.files import read_logs
+from meshpoint.cli.main import main
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter
@@ -29,9 +30,8 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.watch.panel import HEIGHT, WIDTH, Panel
-from meshpoint.testbench.watch.story import RESULTS, STATES, TRUTHS, Line, Story
+from meshpoint.logs.panel import HEIGHT, WIDTH, Panel
+from meshpoint.logs.story import RESULTS, STATES, TRUTHS, Line, Story
 
 SHEET = "thesis"
 

@@ -9,13 +9,13 @@ from collections.abc import Iterator
 
 import pytest
 
+from meshpoint.base.exits import Exit
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.cli.main import main
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.exits import Exit
 
 
 @pytest.fixture

@@ -20,12 +20,12 @@ from live_command import POLL_S, LiveCommand, live
 
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.pace import PaceFile
+from meshpoint.cli.main import main
+from meshpoint.cli.table import build_parser
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.live.up import _commands, add_parser
-from meshpoint.testbench.table import build_parser
+from meshpoint.run.up import _commands, add_parser
 
 READY = "in gear 8, ready"
 PROC = Path("/proc")

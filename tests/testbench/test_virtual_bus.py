@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from meshpoint.bench.virtual_bus import VirtualBus, duration_us
+from meshpoint.bench.virtual_time import VirtualTime
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
-from meshpoint.testbench.loop.virtual_bus import VirtualBus, duration_us
-from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 
 def test_a_64_byte_fd_frame_takes_its_time_on_the_wire() -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.results.output import write_json
+from meshpoint.base.errors import CommandError
+from meshpoint.results.output import write_json
 
 
 def test_an_error_amid_the_text_leaves_the_old_results(tmp_path: Path) -> None:

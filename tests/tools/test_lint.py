@@ -7,11 +7,13 @@ from types import SimpleNamespace
 import lint
 import pytest
 from rules.bench import wrong_with
+from rules.decisions import missing_in, row_of
 from rules.docstrings import fragments_in
 from rules.glossary import retired_in
 from rules.house import hides_imports, imported
 from rules.opening import readings
 from rules.printing import prints
+from rules.releases import wrong_in
 
 
 def test_a_finding_is_said_with_its_rule_and_ends_with_1(
@@ -31,6 +33,20 @@ def test_a_word_is_found_as_a_whole_and_over_a_line_s_end() -> None:
     assert retired_in("it was drawn\nanew") == ["drawn anew"]
     assert retired_in("Told by nobody") == ["told"]
     assert retired_in("untold, of course; `told`, [x](drawn-anew.md)") == []
+
+
+def test_the_table_s_row_of_a_decision_is_what_the_record_says() -> None:
+    status = "**Status.** Accepted 2026-11-22 (most).\n0026 and\n0027 are folded in."
+    record = f"# 0016 A filter\n\n{status}\n\n**Decided.** All.\n"
+    row = "| [0016 A filter](0016-cloud.md) | Accepted 2026-11-22 | 0026, 0027 |"
+    assert row_of("0016-cloud.md", record) == row
+    assert row_of("0016-cloud.md", record.replace("0016", "0017")) is None
+    assert row_of("0016-cloud.md", record.replace("Status", "State")) is None
+
+
+def test_a_decision_that_there_is_not_is_found() -> None:
+    text = "decision\n0007, docs/decisions/0016-cloud.md, decisions 0016 and 0x0027"
+    assert missing_in(text, ["0016-cloud.md"]) == ["0007"]
 
 
 @pytest.mark.parametrize(
@@ -89,3 +105,23 @@ def test_an_old_name_and_a_hidden_import_are_found() -> None:
 )  # fmt: skip
 def test_a_command_that_cannot_be_typed_is_found(command: str, is_wrong: bool) -> None:
     assert bool(wrong_with(command)) is is_wrong
+
+
+CHANGELOG = "# Changelog\n\n## [Unreleased]\n\n## [0.2.0] - 2027-01-31\n\n### Added\n\n- A gear.\n"
+
+
+@pytest.mark.parametrize(
+    ("changelog", "found"),
+    [
+        (CHANGELOG, []),
+        (CHANGELOG.replace("[0.2.0]", "[0.1.0]"), ["no section [0.2.0]"]),
+        (CHANGELOG.replace("## [Unreleased]\n", ""), ["does not begin with [Unreleased]"]),
+        (CHANGELOG.replace("Added", "Wishes"), ["no heading of Keep a Changelog: Wishes"]),
+        (CHANGELOG + "- One more.\n" * 120, ["more than 120 lines"]),
+    ],
+)
+def test_a_changelog_is_short_and_has_the_version_under_known_headings(
+    changelog: str, found: list[str]
+) -> None:
+    said = list(wrong_in(changelog, "0.2.0"))
+    assert [line[: len(start)] for line, start in zip(said, found, strict=True)] == found

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.bus.light_can import load_can
+
+load_can()  # before cantools loads all of it, pandas too: half a minute on an emulated processor
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
 

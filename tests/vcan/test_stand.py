@@ -12,11 +12,11 @@ import pytest
 from patience import HANG_S, Patience, until
 from vcan_bench import LOOK_S, SPEED, VCAN, Command, meshpoint
 
+from meshpoint.base.errors import CommandError
+from meshpoint.bench.board import Firmware
+from meshpoint.bench.boards import board_of
+from meshpoint.cli.table import build_parser
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.firmware.board import Firmware
-from meshpoint.testbench.firmware.boards import board_of
-from meshpoint.testbench.table import build_parser
 
 for _name in ("check", "commission"):
     build_parser(_name)  # loads the command, before anything is forked

@@ -22,12 +22,15 @@ from typing import Any, NamedTuple
 import cantools.database
 from patience import POLL_S, Patience, until
 
-from meshpoint.bus.light_can import load_can
 from meshpoint.bus.pace import PACED_NODES, PaceFile
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.table import build_parser
+from meshpoint.cli.main import main
+from meshpoint.cli.table import build_parser
+from meshpoint.controller.run.warm_up import warm_up as load_controller_kernels
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.node import run_rig  # noqa: F401 (as `rig` does once it runs)
+from meshpoint.rig_sim.presets import warm_up as load_rig_kernels
+from meshpoint.rig_sim.settings import Preset
 
-load_can()  # as every command does: pandas alone takes an emulated processor half a minute
 for _name in ("up", "rig", "controller", "request", "replay"):
     build_parser(_name)  # loads the command, before anything is forked
 
@@ -46,6 +49,10 @@ GAP_MS = "500" if EMULATED else "20"
 has too many to read."""
 LOOK_S = 0.2 if EMULATED else POLL_S
 """Looking costs processor time, which the nodes want."""
+load_controller_kernels(baselines=EMULATED)
+load_rig_kernels(load_sheet("thesis"), Preset.THESIS)
+"""Before anything is forked, too: to load numba and the kernels takes a node as long as all else
+that it does in a test."""
 VALVES = ("Brake", "SplitLow", "SplitHigh", "MainFirst", "MainSecond", "MainCrawl", "MainThird",
           "RangeLow", "RangeHigh")  # fmt: skip
 IN_GEAR = 1

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import can
 
 from meshpoint.bus.options import bus_config, classic_refusal
-from meshpoint.testbench.table import COMMANDS, build_parser
+from meshpoint.cli.table import COMMANDS, build_parser
 from rules import ROOT
 
 DOCS = ROOT / "docs"

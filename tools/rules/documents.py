@@ -1,4 +1,4 @@
-"""README and docs name only files and tests that exist, and link only to what is there."""
+"""Documents name only files and tests that exist, and link only to what is there."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rules import PRODUCT, ROOT, name_of
 
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 OF_THE_READER = {
     "FILE.py", "NAME.py", "senders.py", "controller.py", "gate.py", "brake_time.py", "next_gap.py",
     "test_coach.py", "test_mine.py",
@@ -93,9 +93,9 @@ def settings_by_table() -> dict[str, set[str]]:
 
 
 def settings(document: Path) -> Iterator[str]:
-    """Settings that it names and that there are not; decisions may tell of those that there
-    were."""
-    if document.parent.name == "decisions":
+    """Settings that it names and that there are not; decisions and changelog may tell of those that
+    there were."""
+    if document.parent.name == "decisions" or document.name == "CHANGELOG.md":
         return
     tables = settings_by_table()
     named = SETTING.findall(text_of(document))

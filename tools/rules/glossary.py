@@ -12,7 +12,6 @@ from rules import PRODUCT, ROOT, name_of
 GLOSSARY = ROOT / "docs" / "glossary.md"
 CODE = (*PRODUCT, "benchmarks", "examples")
 """Folders whose Python is held to it as well."""
-HISTORY = ROOT / "docs" / "decisions"
 TABLE = GLOSSARY.read_text(encoding="utf-8").split("| write | not |")[1]
 RETIRED = re.findall(r"`([^`]+)`", "".join(row.split("|")[2] for row in TABLE.splitlines()[2:]))
 ANY = re.compile(rf"\b(?:{'|'.join(map(re.escape, RETIRED))})\b", re.IGNORECASE)
@@ -21,14 +20,10 @@ ALWAYS = {"told", "drawn anew", "misfit", "course"}
 
 
 def checked() -> list[Path]:
-    """README, the pages of docs/ but the decisions, which are history, and the code of CODE."""
-    pages = [
-        path
-        for path in sorted((ROOT / "docs").rglob("*.md"))
-        if path != GLOSSARY and not path.is_relative_to(HISTORY)
-    ]
+    """README and the pages beside it, those of docs/, and the code of CODE."""
+    pages = [path for path in sorted((ROOT / "docs").rglob("*.md")) if path != GLOSSARY]
     code = [path for name in CODE for path in sorted((ROOT / name).rglob("*.py"))]
-    return [ROOT / "README.md", *pages, *code]
+    return [*sorted(ROOT.glob("*.md")), *pages, *code]
 
 
 def retired_in(text: str) -> list[str]:

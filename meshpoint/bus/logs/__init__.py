@@ -1,1 +1,1 @@
-"""CAN log files: read with limits, written in parts. Replaying one: `testbench.logs`."""
+"""CAN log files: read with limits, written in parts. Replaying one: `meshpoint.replays`."""

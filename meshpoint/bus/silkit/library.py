@@ -6,6 +6,7 @@ library, registry and system controller."""
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from meshpoint.bus.simulated.frame_bits import WireFrame, check_frame
@@ -51,33 +52,45 @@ def library(name: str = MODULE) -> Any:
         ) from error
 
 
-def join(name: str, registry: str, again: bool = True) -> Any:
+def join(name: str, registry: str) -> Any:
     """A participant of this name, by its registry; it leaves when nothing refers to it any more.
-    again: a registry that does not answer is asked once more.
 
     SilKitError where no registry is there, or it refuses the name."""
     silkit = library()
+    settings = silkit.participant_configuration_from_String("")
+    return joined(lambda: silkit.create_participant(settings, name, registry), name, registry)
+
+
+def joined(attempt: Callable[[], Any], name: str, registry: str) -> Any:
+    """What `attempt` returns, which joins; a registry that does not answer is asked once more.
+
+    SilKitError where no registry is there, or it refuses the name."""
     try:
-        return silkit.create_participant(
-            silkit.participant_configuration_from_String(""), name, registry
-        )
+        try:
+            return attempt()
+        except RuntimeError as error:
+            if UNANSWERED not in str(error):
+                raise
+            return attempt()
     except RuntimeError as error:
         said = " ".join(str(error).split())
-        if UNANSWERED in said and again:
-            return join(name, registry, again=False)
         raise SilKitError(f"SIL Kit, participant {name}, registry {registry}: {said}") from error
 
 
 def send(controller: Any, frame: WireFrame) -> None:
-    """Hands a frame to a CAN controller of SIL Kit."""
-    flags = (
+    """Hands a frame to a CAN controller of silkit-py."""
+    controller.send_frame(frame.can_id, frame.data, flags_of(frame), frame.dlc)
+
+
+def flags_of(frame: WireFrame) -> int:
+    """A frame's flags as SIL Kit has them."""
+    return (
         (IDE if frame.is_extended else 0)
         | (FDF if frame.is_fd else 0)
         | (BRS if frame.bitrate_switch else 0)
         | (ESI if frame.error_state else 0)
         | (RTR if frame.is_remote else 0)
     )
-    controller.send_frame(frame.can_id, frame.data, flags, frame.dlc)
 
 
 def heard(event: Any) -> Heard:

@@ -23,12 +23,10 @@ from meshpoint.bus.silkit.library import (
     REGISTRY,
     Heard,
     SilKitError,
-    heard,
-    join,
     library,
-    send,
     wire_frame,
 )
+from meshpoint.bus.silkit.participant import Participant
 from meshpoint.bus.simulated.messages import message_of, wire_frame_of
 
 INTERFACE: Final = "silkit"
@@ -71,7 +69,7 @@ class SilKitBus(can.BusABC):
         **kwargs: Any,
     ) -> None:
         self._registry: socket.socket | None = None
-        self._participant = self._controller = None
+        self._participant: Participant | None = None
         if receive_own_messages:
             raise can.CanInitializationError(f"{INTERFACE}: receive_own_messages is not offered")
         network = NETWORK if channel is None else str(channel)
@@ -83,7 +81,7 @@ class SilKitBus(can.BusABC):
         try:
             library()
             self._registry = _connection(registry)
-            self._participant = join(name, registry)
+            self._participant = Participant(name, registry, network, _put_into(self._arrived))
         except (OSError, ValueError) as error:
             raise can.CanInitializationError(
                 f"{INTERFACE}: no registry at {registry}: {error}; `silkit-registry` starts one"
@@ -93,9 +91,6 @@ class SilKitBus(can.BusABC):
                 self._registry.close()
                 self._registry = None
             raise can.CanInitializationError(f"{INTERFACE}: {error}") from error
-        self._controller = self._participant.create_can_controller("can", network)
-        self._controller.add_frame_handler(_put_into(self._arrived))
-        self._controller.start()
         self._network = network
         self._can_protocol = can.CanProtocol.CAN_FD
         self.channel_info = f"{INTERFACE} network {network}, participant {name}"
@@ -110,8 +105,11 @@ class SilKitBus(can.BusABC):
         if msg.is_error_frame:
             raise ValueError(f"{INTERFACE}: an error frame cannot be sent")
         frame = wire_frame_of(msg)
-        self._check()
-        send(self._controller, frame)
+        participant = self._check()
+        try:
+            participant.send(frame)
+        except RuntimeError as error:
+            raise can.CanOperationError(f"{INTERFACE}: {self._where}: {error}") from error
         self._sent_s = time.monotonic()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -138,18 +136,19 @@ class SilKitBus(can.BusABC):
                 error,
             )  # fmt: skip
 
-    def _check(self) -> None:
+    def _check(self) -> Participant:
         """CanOperationError where the bus is shut down or its registry gone."""
-        if self._registry is None:
+        if self._registry is None or self._participant is None:
             raise can.CanOperationError(f"{INTERFACE}: the bus is shut down")
         try:
             is_there = bool(self._registry.recv(1))
         except BlockingIOError:
-            return
+            return self._participant
         except OSError:
             is_there = False
         if not is_there:
             raise can.CanOperationError(f"{INTERFACE}: {self._where}: lost the registry")
+        return self._participant
 
     def shutdown(self) -> None:
         """Leaves the network, when what was sent last is on its way."""
@@ -158,14 +157,16 @@ class SilKitBus(can.BusABC):
             self._registry.close()
             self._registry = None
             time.sleep(max(0.0, self._sent_s + LAST_S - time.monotonic()))
-            self._participant = self._controller = None
+        if self._participant is not None:
+            self._participant.leave()
+            self._participant = None
 
 
-def _put_into(arrived: Arrived) -> Callable[[Any, Any], None]:
+def _put_into(arrived: Arrived) -> Callable[[Heard], None]:
     """A handler that refers to no bus: one that is not shut down can still go."""
 
-    def put(_controller: Any, event: Any) -> None:
-        arrived.put((time.time(), heard(event)))
+    def put(frame: Heard) -> None:
+        arrived.put((time.time(), frame))
 
     return put
 

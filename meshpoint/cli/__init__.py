@@ -1,0 +1,1 @@
+"""The command line: the table of commands, what commands share, `meshpoint help` and `show`."""

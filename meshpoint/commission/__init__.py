@@ -1,0 +1,2 @@
+"""A gearbox on the bench before anything shifts: is the bus ready (`meshpoint check`), and what
+moves what (`meshpoint commission`)."""

@@ -1,0 +1,1 @@
+"""What a bus carries, recorded or as it goes on: logs, captures, `meshpoint watch` and `tell`."""

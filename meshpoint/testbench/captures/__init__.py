@@ -1,1 +1,0 @@
-"""`meshpoint captures`: edges captured from real sensors."""

@@ -1,1 +1,0 @@
-"""What commands share: their arguments, help and errors, Ctrl-C, progress."""

@@ -1,1 +1,0 @@
-"""Commissioning: what moves what, found out one output at a time, before anything shifts."""

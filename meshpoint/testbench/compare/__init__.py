@@ -1,1 +1,0 @@
-"""`meshpoint compare`: two logs, records or settings files."""

@@ -1,1 +1,0 @@
-"""`meshpoint convert`: a log as time series, for the viewers that people have."""

@@ -1,1 +1,0 @@
-"""`meshpoint demo`: both nodes live, both strategies, and the report of it."""

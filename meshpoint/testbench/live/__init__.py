@@ -1,1 +1,0 @@
-"""Nodes on a bus: `meshpoint controller`, `rig`, `up`, `request`."""

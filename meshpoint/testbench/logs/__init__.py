@@ -1,1 +1,0 @@
-"""Recorded logs and captures, run through the controller again: replay, captures."""

@@ -1,1 +1,0 @@
-"""Controller and rig together on one bus: in virtual time, and live as two processes."""

@@ -1,1 +1,0 @@
-"""`meshpoint play`: a page on which a person fires the sleeve."""

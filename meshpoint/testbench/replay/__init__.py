@@ -1,1 +1,0 @@
-"""`meshpoint replay`: a recorded log through the same controller, or through another."""

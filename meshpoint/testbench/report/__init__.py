@@ -1,1 +1,0 @@
-"""The HTML report and the pictures of a run, drawn from its `results`."""

@@ -1,1 +1,0 @@
-"""`meshpoint show`: a data sheet, settings, a calibration, the messages on the bus."""

@@ -1,1 +1,0 @@
-"""`meshpoint simulate --silkit`: controller and rig as coordinated participants of SIL Kit."""

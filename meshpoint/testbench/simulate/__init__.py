@@ -1,1 +1,0 @@
-"""`meshpoint simulate`: shifts in virtual time."""
