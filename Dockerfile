@@ -14,6 +14,7 @@ COPY pyproject.toml setup.py README.md LICENSE ./
 COPY locks locks
 COPY controller controller
 COPY dbc dbc
+COPY firmware firmware
 COPY meshpoint meshpoint
 COPY rig_sim rig_sim
 # The kernels are compiled as it is installed, for any processor of the architecture.
