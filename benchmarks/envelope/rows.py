@@ -243,7 +243,7 @@ TICKS: Final = Group(
     "Profile `typical`; elsewhere 10 ms.",
     tuple(
         Row(f"tick_{ms}", f"a tick of {ms} ms", why, settings=tick(ms))
-        for ms, why in ((5, "what counts steps where it means time"), (20, "a slower node"))
+        for ms, why in ((5, "every other step has no new read"), (20, "a slower node"))
     ),
 )
 GROUPS: Final = (PROFILES, DEVIATIONS, WORK, SHEETS, KINDS, LEARNING, RESTS, TICKS)
