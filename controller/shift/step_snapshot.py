@@ -24,7 +24,8 @@ from meshpoint.controller.settings.valve_name import Driven
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode
 from meshpoint.gearbox import GearboxSheet, MainGear
-from meshpoint.units import SECOND_US
+from meshpoint.kernels.records import Vector
+from meshpoint.units import SECOND_US, US
 
 MISSING: Final = (FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST)
 """Inputs that a shift needs and that are not there."""
@@ -39,7 +40,13 @@ WHEEL_FAULTS: Final = (
 RINGS_RAD_S: Final = 0.25
 """Standard deviation of the main shaft's speed about a straight line above which it rings (2.4 rpm,
 7 rpm from peak to peak): that moves a gear's tooth against its sleeve by half a gap within 45 ms.
-Errors of the sensor wheel's teeth are 0.1 rad/s."""
+"""
+BEYOND_NOISE: Final = 3.0
+"""And its variance about that line above which it is no noise of the sensor, as a multiple of the
+noise's. Over the 15 reads of a shift two estimates of one variance differ by so much about one time
+in ten."""
+THIRD_SQUARE: Final = 20.0
+"""A third difference of white noise has so many times its variance: 1 + 9 + 9 + 1."""
 LEAST_MEASUREMENTS: Final = 6
 """Measurements, one a read of the sensors, from which a line can be distinguished from a swing."""
 FREE_STATES: Final = frozenset({State.SYNCHRONISING, State.COASTING})
@@ -89,7 +96,12 @@ class StepSnapshot:
 
 class RingingDetector:
     """Learned from the main shaft's speed in neutral, from when the old gear is out until the
-    sleeve is fired for the new one."""
+    sleeve is fired for the new one.
+
+    A swing is slow against the reads, noise differs from read to read. So third differences, in
+    which a swing nearly vanishes, tell how large noise is (von Neumann 1941), and what the speed
+    scatters about a straight line beyond that is swing. Both are summed over all shifts.
+    """
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self.twists = False
@@ -97,6 +109,8 @@ class RingingDetector:
         the sheet says. What once did twists for good."""
         self._is_told = sheet.driveline.stiffness_nm_rad > 0.0
         self._measurements: list[tuple[int, float]] = []
+        self._about_line = self._noise = np.zeros(2)
+        """Sum of squares (rad2/s2), and how many they are of."""
 
     def measure(self, state: State, snapshot: StepSnapshot) -> None:
         """One step: one without a new speed shows nothing."""
@@ -107,16 +121,21 @@ class RingingDetector:
                 self._measurements.append((snapshot.now_us, main))
             return
         if len(self._measurements) >= LEAST_MEASUREMENTS and not self.twists:
-            self.twists = self._is_told and self._swing_rad_s() > RINGS_RAD_S
+            self._add(*np.array(self._measurements).T)
+            self.twists = self._is_told and self._rings()
         self._measurements.clear()
 
-    def _swing_rad_s(self) -> float:
-        """Standard deviation about the straight line that suits the measurements best."""
-        time_us, speed = np.array(self._measurements).T
-        time_s = 1e-6 * (time_us - time_us[0])
+    def _add(self, time_us: Vector, speed: Vector) -> None:
+        time_s = US * (time_us - time_us[0])
         line = np.column_stack((np.ones_like(time_s), time_s))
         _, squares, _, _ = np.linalg.lstsq(line, speed, rcond=None)
-        return float(np.sqrt(squares.sum() / (len(speed) - line.shape[1])))
+        self._about_line = self._about_line + (squares.sum(), len(speed) - line.shape[1])
+        third = np.diff(speed, 3)
+        self._noise = self._noise + (third @ third / THIRD_SQUARE, len(third))
+
+    def _rings(self) -> bool:
+        about_line, noise = (sums[0] / sums[1] for sums in (self._about_line, self._noise))
+        return bool(about_line > max(RINGS_RAD_S**2, BEYOND_NOISE * noise))
 
 
 class TorqueDecay:
