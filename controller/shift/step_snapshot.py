@@ -109,7 +109,7 @@ class RingingDetector:
         the sheet says. What once did twists for good."""
         self._is_told = sheet.driveline.stiffness_nm_rad > 0.0
         self._measurements: list[tuple[int, float]] = []
-        self._about_line = self._noise = np.zeros(2)
+        self._about_line, self._noise = np.zeros(2), np.zeros(2)
         """Sum of squares (rad2/s2), and how many they are of."""
 
     def measure(self, state: State, snapshot: StepSnapshot) -> None:
@@ -129,9 +129,9 @@ class RingingDetector:
         time_s = US * (time_us - time_us[0])
         line = np.column_stack((np.ones_like(time_s), time_s))
         _, squares, _, _ = np.linalg.lstsq(line, speed, rcond=None)
-        self._about_line = self._about_line + (squares.sum(), len(speed) - line.shape[1])
+        self._about_line += squares.sum(), len(speed) - line.shape[1]
         third = np.diff(speed, 3)
-        self._noise = self._noise + (third @ third / THIRD_SQUARE, len(third))
+        self._noise += third @ third / THIRD_SQUARE, len(third)
 
     def _rings(self) -> bool:
         about_line, noise = (sums[0] / sums[1] for sums in (self._about_line, self._noise))
