@@ -45,7 +45,7 @@ BEYOND_NOISE: Final = 3.0
 """And its variance about that line above which it is no noise of the sensor, as a multiple of the
 noise's. White noise alone comes so far 3 times in 100 in 15 reads, 17 times in 6 (4,000 draws)."""
 THIRD_SQUARE: Final = 20.0
-"""A third difference of white noise has so many times its variance: 1 + 9 + 9 + 1."""
+"""A third difference of white noise has this many times its variance: 1 + 9 + 9 + 1."""
 LEAST_MEASUREMENTS: Final = 6
 """Measurements, one a read of the sensors, from which a line can be distinguished from a swing."""
 FREE_STATES: Final = frozenset({State.SYNCHRONISING, State.COASTING})
