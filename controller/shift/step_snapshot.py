@@ -131,7 +131,7 @@ class RingingDetector:
         _, squares, _, _ = np.linalg.lstsq(line, speed, rcond=None)
         self._about_line += squares.sum(), len(speed) - line.shape[1]
         third = np.diff(speed, 3)
-        self._noise += third @ third / THIRD_SQUARE, len(third)
+        self._noise += float(third @ third) / THIRD_SQUARE, len(third)
 
     def _rings(self) -> bool:
         about_line, noise = (sums[0] / sums[1] for sums in (self._about_line, self._noise))
