@@ -188,9 +188,10 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 def _is_soon_known(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether what the shafts of a driveline that rings carry will be known in a moment. Soon after
-    a gear was engaged they swing the most, also where the engine gives no torque."""
+    a gear was engaged they swing the most, also where the engine gives no torque. Where it may be
+    the sensor that scatters, nothing is waited for."""
     shift, limits, loaded = context.running, context.settings.engine, snapshot.loaded
-    is_planned = context.rings.twists and limits.swing_ramp_ms > 0 and shift.own_nm is None
+    is_planned = context.rings.is_beyond_noise and limits.swing_ramp_ms > 0 and shift.own_nm is None
     if not is_planned or loaded is None or shift.clutch_us is not None:
         return False
     return loaded.is_early and not context.late(snapshot, KNOWN_MS)

@@ -42,7 +42,7 @@ RINGS_RAD_S: Final = 0.25
 7 rpm from peak to peak): that moves a gear's tooth against its sleeve by half a gap within 45 ms.
 """
 BEYOND_NOISE: Final = 3.0
-"""And its variance about that line above which it is no noise of the sensor, as a multiple of the
+"""Its variance about that line above which it is no noise of the sensor, as a multiple of the
 noise's. White noise alone comes so far 3 times in 100 in 15 reads, 17 times in 6 (4,000 draws)."""
 THIRD_SQUARE: Final = 20.0
 """A third difference of white noise has this many times its variance: 1 + 9 + 9 + 1."""
@@ -107,6 +107,8 @@ class RingingDetector:
         self.twists = False
         """Whether shafts between engine and road are known to twist: seen to ring, and by how much
         the sheet says. What once did twists for good."""
+        self.is_beyond_noise = False
+        """Whether they have rung by more than the sensor's noise explains: for good, too."""
         self._is_told = sheet.driveline.stiffness_nm_rad > 0.0
         self._measurements: list[tuple[int, float]] = []
         self._about_line, self._noise = np.zeros(2), np.zeros(2)
@@ -120,22 +122,22 @@ class RingingDetector:
             if not self._measurements or main != self._measurements[-1][1]:
                 self._measurements.append((snapshot.now_us, main))
             return
-        if len(self._measurements) >= LEAST_MEASUREMENTS and not self.twists:
-            self._add(*np.array(self._measurements).T)
-            self.twists = self._is_told and self._rings()
+        if len(self._measurements) >= LEAST_MEASUREMENTS and not self.is_beyond_noise:
+            self._look(*np.array(self._measurements).T)
         self._measurements.clear()
 
-    def _add(self, time_us: Vector, speed: Vector) -> None:
+    def _look(self, time_us: Vector, speed: Vector) -> None:
+        """A shift's measurements."""
         time_s = US * (time_us - time_us[0])
         line = np.column_stack((np.ones_like(time_s), time_s))
         _, squares, _, _ = np.linalg.lstsq(line, speed, rcond=None)
-        self._about_line += squares.sum(), len(speed) - line.shape[1]
+        now = np.array([squares.sum(), len(speed) - line.shape[1]])
+        self._about_line += now
         third = np.diff(speed, 3)
         self._noise += float(third @ third) / THIRD_SQUARE, len(third)
-
-    def _rings(self) -> bool:
+        self.twists |= self._is_told and bool(now[0] / now[1] > RINGS_RAD_S**2)
         about_line, noise = (sums[0] / sums[1] for sums in (self._about_line, self._noise))
-        return bool(about_line > max(RINGS_RAD_S**2, BEYOND_NOISE * noise))
+        self.is_beyond_noise = self.twists and bool(about_line > BEYOND_NOISE * noise)
 
 
 class TorqueDecay:

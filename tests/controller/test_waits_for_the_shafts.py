@@ -19,7 +19,7 @@ def opens_after_ms(
 ) -> float:
     """From the request until the clutch sets off, of a driveline that is known so much later."""
     box: Box = aimed(7, settings=settings or ControllerSettings())
-    box.sequence.rings.twists = twists
+    box.sequence.rings.twists = box.sequence.rings.is_beyond_noise = twists
     asked_us = box.now_us
     plain = box.snapshot
 
