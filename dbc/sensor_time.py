@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import EdgesInputRise
+
 WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
 LOW: Final = 0xFFFF
+READ_CYCLE_US: Final = CODECS[EdgesInputRise.__name__].spec.cycle_time_us
+"""From one read of the sensors to the next: no shorter tick sees more of them."""
 
 
 def unwrap(stamp: int, near: int) -> int:

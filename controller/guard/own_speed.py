@@ -115,8 +115,8 @@ class GuardSpeed:
         they are sure and the wheel turns at its newest speed."""
         if speed is None or speed.omega_rad_s < SLOWEST_RAD_S or not self._reads:
             return None
-        heard = dict(self._reads)
-        return heard.get(self._reads[-1][0] if read_us is None else read_us, self._reads[-1][1])
+        heard: dict[int | None, TeethCounted | None] = dict(self._reads)
+        return heard.get(read_us, self._reads[-1][1])
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:

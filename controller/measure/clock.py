@@ -32,11 +32,10 @@ from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.controller.measure.inputs import StepInputs
-from meshpoint.controller.settings.settings import READ_CYCLE_US
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import EdgesInputRise, ValveStatus
-from meshpoint.dbc.sensor_time import unwrap
+from meshpoint.dbc.sensor_time import READ_CYCLE_US, unwrap
 
 WINDOW: Final = 4000
 """Stamps the offset looks back over: about four seconds, in which 200 ppm of drift is 0.8 ms and

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from meshpoint.controller.settings.strategy_file import StrategyFile
-from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.messages import EdgesInputRise, Estimator, Strategy
+from meshpoint.dbc.messages import Estimator, Strategy
+from meshpoint.dbc.sensor_time import READ_CYCLE_US
 from meshpoint.gearbox.driveline import Driveline
 from meshpoint.gearbox.sheet import SENSOR_SD_PA, GearboxSheet
 from meshpoint.gearbox.tables import (
@@ -27,8 +27,6 @@ from meshpoint.gearbox.tables import (
 from meshpoint.units import DEG, RPM
 
 MS_IN_US: Final = 1000
-READ_CYCLE_US: Final = CODECS[EdgesInputRise.__name__].spec.cycle_time_us
-"""From one read of the sensors to the next: no shorter tick sees more of them."""
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
 """The strategies of the DBC's value table; `plan/strategist` has the class of each."""
@@ -55,7 +53,6 @@ class Timing:
     lead_ms: int = count("lead_ms", 1, 80, default=4)
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
     bus time and the node's own lateness must fit into it."""
-
     wire_us: int = count("wire_us", 0, 5000, default=900)
     """Hardware that cannot schedule: the least time from a read to its frame's arrival and from a
     command to its valve, which the switch is sent ahead by."""
@@ -395,9 +392,8 @@ class ControllerSettings:
     def values(self) -> dict[str, Any]:
         """All of them by attribute (SI), without the text of a user's strategy and without what
         is the data sheet's."""
-        return dataclasses.asdict(
-            dataclasses.replace(self, strategy_file=None), dict_factory=_plain
-        )
+        own = dataclasses.replace(self, strategy_file=None)
+        return dataclasses.asdict(own, dict_factory=_plain)
 
     @property
     def estimator(self) -> Estimator:

@@ -25,7 +25,7 @@ from meshpoint.controller.models.layshaft import (
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords
-from meshpoint.controller.settings.settings import READ_CYCLE_US, ControllerSettings, Timing
+from meshpoint.controller.settings.settings import ControllerSettings, Timing
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -39,6 +39,7 @@ from meshpoint.dbc.messages import (
     SleevesMain,
 )
 from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.dbc.sensor_time import READ_CYCLE_US
 from meshpoint.gearbox import MainGear, Range, Sleeve, Split, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
 

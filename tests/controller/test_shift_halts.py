@@ -25,10 +25,10 @@ from shift_box import (
 
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.plan.strategy import BUS_US
-from meshpoint.controller.settings.settings import READ_CYCLE_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.dbc.sensor_time import READ_CYCLE_US
 from meshpoint.gearbox import MainGear
 
 VALVE, OPPOSITE = ValveName.MAIN_SECOND, ValveName.MAIN_FIRST

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from can.util import len2dlc
 
-from meshpoint.bus.silkit.library import Heard, flags_of, joined, library
+from meshpoint.bus.silkit.library import Heard, SilKitError, flags_of, joined, library
 from meshpoint.bus.simulated.frame_bits import WireFrame
 
 FRAME_OF_VERSION_1: Final = int.from_bytes(b"SK\x01\x01\x01\0\0\0", "big")
@@ -88,6 +88,13 @@ class Participant:
         self._participant: c.c_void_p | None = _join(name, registry)
         self._controller = c.c_void_p()
         self._on_frame = _HANDLER(on_frame)
+        try:
+            self._listen(network)
+        except RuntimeError as error:
+            self.leave()
+            raise SilKitError(f"SIL Kit, participant {name}, network {network}: {error}") from error
+
+    def _listen(self, network: str) -> None:
         _call(
             "SilKit_CanController_Create",
             c.byref(self._controller), self._participant, b"can", network.encode(),
