@@ -212,6 +212,8 @@ class ReplayEstimator:
     ) -> StepSnapshot:
         """One step: the frames that the first controller has consumed in it, its sequence after it,
         and what it knew. Returns what this one knows."""
+        if not seen.takes_in:
+            return replace(self._snapshot(now_us, seen), takes_in=False)
         self._receiver.tick(now_us)
         inputs, events = StepInputs(), list[str]()
         for frame in sorted(frames, key=lambda frame: frame.can_id):

@@ -86,6 +86,9 @@ class Consumed(NamedTuple):
     crc: int
 
 
+NOTHING: Final = Consumed(0, 0)
+
+
 class ControllerCore:
     """The node under test, without clock and bus."""
 
@@ -100,7 +103,7 @@ class ControllerCore:
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
         brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
         self._observer = Observer(sheet, settings, brake, settings.estimator)
-        timing = ValveTiming(settings.valve_timing)
+        timing = self._timing_of_valves = ValveTiming(settings.valve_timing)
         self._board = ValveBoard(timing)
         self._probe = ClockProbe()
         self._refused = RefusedLead(settings.timing.tick_us)
@@ -209,25 +212,17 @@ class ControllerCore:
         return self._due_us if self._wake_us is None else min(self._due_us, self._wake_us)
 
     def step(self, now_us: int) -> Step:
-        """The whole decision at `now_us` of the controller's clock."""
+        """The whole decision at `now_us` of the controller's clock; between ticks, for a valve side
+        that keeps times, only the end of a pulse that has begun."""
         lateness_us = self._lateness_us(now_us)
         events: list[str] = (
             [UNARMED] if self._due_us is None and not self._guarded.guard.is_armed else []
         )
-        inputs, consumed = self._consume(now_us, events)
-        read_us = self._probe.stamp(inputs, now_us)
-        if self._refused.take(inputs.valve_status, now_us):
-            self._probe.repeat()
-        if read_us is not None:
-            self._observer.clock.stamp(read_us, now_us)
-        self._observer.take(inputs, now_us, events)
-        self._speeds.take(inputs, self._observer.clock.now_us(now_us))
-        newest_engine = inputs.engine[-1] if inputs.engine else None
-        snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
-        take = self._timing.take if self._is_tick(now_us) else self._timing.between
-        take(inputs, snapshot.now_us)
-        self._decide(inputs.requested_gear, snapshot, events)
-        self._observer.learn(events)
+        if self.snapshot is not None and self._is_for_an_end(now_us):
+            consumed, self._heard = NOTHING, []
+            snapshot = self.snapshot = self._later(self.snapshot, now_us)
+        else:
+            snapshot, consumed = self._take_and_decide(now_us, events)
         frames = self._commands(now_us, snapshot, events)
         frames += self._reporter.frames(self._transmitter, snapshot)
         blocks = self._guarded.blocks
@@ -241,6 +236,39 @@ class ControllerCore:
         frames.sort(key=_identifier)
         self._plan_next_step(now_us, snapshot.now_us)
         return Step(frames, events)
+
+    def _is_for_an_end(self, now_us: int) -> bool:
+        """Whether this step is there for the end of a pulse alone: it takes nothing in."""
+        is_asked = self._is_tick(now_us) or self._probe.is_due
+        return not is_asked and self._timing_of_valves is ValveTiming.SCHEDULED
+
+    def _later(self, snapshot: StepSnapshot, now_us: int) -> StepSnapshot:
+        """The same as it is known at a later moment."""
+        sensor_us = self._observer.clock.now_us(now_us)
+        main = self._observer.main_at(sensor_us)
+        earliest_us = sensor_us + self._lead_us
+        return replace(
+            snapshot, now_us=sensor_us, earliest_us=earliest_us, main=main, takes_in=False
+        )
+
+    def _take_and_decide(self, now_us: int, events: list[str]) -> tuple[StepSnapshot, Consumed]:
+        """What has arrived, what it says, and what is to be done."""
+        inputs, consumed = self._consume(now_us, events)
+        read_us = self._probe.stamp(inputs, now_us)
+        if self._refused.take(inputs.valve_status, now_us):
+            self._probe.repeat()
+        if read_us is not None:
+            self._observer.clock.stamp(read_us, now_us)
+        self._observer.take(inputs, now_us, events)
+        self._speeds.take(inputs, self._observer.clock.now_us(now_us))
+        newest_engine = inputs.engine[-1] if inputs.engine else None
+        snapshot = self._snapshot(now_us, newest_engine)
+        take = self._timing.take if self._is_tick(now_us) else self._timing.between
+        take(inputs, snapshot.now_us)
+        self.snapshot = snapshot
+        self._decide(inputs.requested_gear, snapshot, events)
+        self._observer.learn(events)
+        return snapshot, consumed
 
     def shutdown(self, now_us: int) -> Step:
         """The last frames: all valves off. What is left to be learned is learned at once."""
@@ -411,8 +439,10 @@ class ControllerCore:
         sent_us = sensor_us + self._ahead_us
         switch_us = self._board.next_switch_us(sent_us)
         self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)
-        if self._wake_us is not None and due_us < self._wake_us < due_us + FRAME_WAIT_US:
+        # Of hardware that cannot schedule, which a frame's delay makes late.
+        moment_us = None if self._timing_of_valves is ValveTiming.SCHEDULED else self._wake_us
+        if moment_us is not None and due_us < moment_us < due_us + FRAME_WAIT_US:
             # The tick's own frames would still stand before the command: leave this one out.
             due_us += tick_us
         self._due_us = due_us
-        self._probe.plan(now_us, self._wake_us)
+        self._probe.plan(now_us, moment_us)

@@ -131,11 +131,15 @@ class ValveBoard:
             sleeves.expected(valve, switches)
 
     def next_switch_us(self, now_us: int) -> int | None:
-        """The next sensor time at which hardware that cannot schedule needs a frame; else None."""
+        """The next sensor time at which the valve side needs a frame before the next tick; else
+        None. Hardware that cannot schedule needs one at each switch; the other one at a pulse's
+        beginning, for its end: on a tick that is a little late that would come too late."""
+        commands = self._commands.values()
         if self._timing is ValveTiming.SCHEDULED:
-            return None
-        times = [t for c in self._commands.values() for t in (c.time_us, c.until_us) if t > now_us]
-        next_us = min(times, default=FOREVER_US)
+            times = [c.time_us for c in commands if c.until_us < FOREVER_US]
+        else:
+            times = [t for c in commands for t in (c.time_us, c.until_us)]
+        next_us = min((t for t in times if t > now_us), default=FOREVER_US)
         return None if next_us == FOREVER_US else next_us
 
     def message(self, now_us: int) -> ValveCommand:

@@ -26,6 +26,9 @@ class NodeClock(Protocol):
     def heard(self) -> None:
         """A frame of another node has arrived."""
 
+    def begins(self, now_us: int) -> None:
+        """The node looks at what has arrived and is due at this clock time."""
+
     def here(self) -> None:
         """The node has done all that was due by now."""
 
@@ -64,6 +67,9 @@ class Clock:
 
     def heard(self) -> None:
         """The wall does not listen."""
+
+    def begins(self, now_us: int) -> None:
+        """The wall goes on meanwhile."""
 
     def here(self) -> None:
         """The wall waits for nobody."""

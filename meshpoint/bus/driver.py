@@ -156,6 +156,7 @@ class _Node:
 
     def _receive_and_step(self) -> None:
         now_us = self._clock.now_us()
+        self._clock.begins(now_us)
         self._receive()
         due_us = self._core.next_step_us
         if now_us >= due_us:

@@ -3,7 +3,8 @@
 A machine under load stops a process, or all of them, for tenths of a second, while a valve command
 expires after 100 ms: on such a machine a live run shows the machine, not the gearbox. Here time is
 kept in a file that all nodes read. A pacemaker moves it on with the wall clock, but never further
-than every node has promised to look at it again, plus a millisecond. A node promises nothing while
+than every node has promised to look at it again, plus a millisecond. A node takes its promise back
+while it works, so that a step of many milliseconds takes one of bus time. It promises nothing while
 frames are on their way from or to it, as far as its bus can tell, nor, once it has heard others,
 while it hears nobody: frames are waited for as well. A machine that keeps up runs in real time; one
 that does not runs slower, and the nodes cannot tell.
@@ -170,6 +171,11 @@ class PacedClock:
     def heard(self) -> None:
         """A frame of another node has arrived."""
         self._heard_us = self.now_us()
+
+    def begins(self, now_us: int) -> None:
+        """The node has begun to work at this bus time: until it has done, it takes back what it
+        has promised beyond."""
+        self._file.promise(self._node, min(now_us, self._promised_us))
 
     def here(self) -> None:
         """The node has done all that was due. Where others have spoken and none does now, it

@@ -61,6 +61,26 @@ def test_time_never_goes_back_and_never_leaps(spans_us, speed):
     assert all(b - a <= 2_000 * max(1.0, speed) + 1 for a, b in itertools.pairwise(times_us))
 
 
+def test_time_waits_at_once_for_a_node_that_works(tmp_path):
+    """A step that takes long began at its bus time: what it sends must not come later by as much as
+    the node had promised before. Two nodes that worked at once let valve commands be late."""
+    file = PaceFile.create(tmp_path / "pace")
+    node, pacemaker = PacedClock(file, "controller"), Pacemaker(speed=1.0)
+    node.here()
+    for _ in range(3):
+        file.set_now(pacemaker.advance(300.0, file.promises_us()))
+    begun_us = node.now_us()
+    node.begins(begun_us)
+    for _ in range(500):
+        file.set_now(pacemaker.advance(500.0, file.promises_us()))
+    assert begun_us == 900
+    assert node.now_us() == begun_us + SLACK_US
+    node.here()
+    for _ in range(10):
+        file.set_now(pacemaker.advance(500.0, file.promises_us()))
+    assert node.now_us() == begun_us + 2 * SLACK_US + HEARTBEAT_US
+
+
 def test_a_node_that_died_is_waited_for_a_second_and_then_no_more():
     pacemaker = Pacemaker(speed=1.0)
     for _ in range(900):

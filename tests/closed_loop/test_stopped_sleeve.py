@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
 import pytest
+from loop_bench import Loop
 
 from meshpoint.campaigns.draw import draw, upshifts
 from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.plan.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.dbc.messages import ShiftOutcome, ValveAction, ValveCommand, ValveStatus
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.settings import Preset, Profile
 
@@ -72,3 +76,41 @@ def test_a_sleeve_that_is_stopped_at_each_firing_comes_into_its_gear_in_time(
     assert row.aborts > 1
     # What the stops cost in speed is raised again, and that has a limit of its own.
     assert row.duration_ms < PLAIN.limits.synchronise_ms + PLAIN.limits.raise_ms
+
+
+def test_the_end_of_a_pulse_is_told_as_soon_as_it_has_begun(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What stops a sleeve is a pulse of 9 ms, and a tick comes every 10: told on the next one, its
+    end is refused as too late from a node that is 2 ms late, and the pulse lasts until it is told
+    once more, twice as long as planned."""
+    asked = iter(range(1_000_000))
+    monkeypatch.setattr(TargetPhase, "is_to_go_back", lambda *_asked: next(asked) % 3 == 0)
+    loop = Loop(shifts=6, preset=Preset.TRUCK, sheet=load_sheet("truck12"))
+    loop.run(30_000_000)
+    assert sum(outcome.aborts for outcome in loop.of(ShiftOutcome)) > 1
+    ahead_us = list(ends_ahead_us(loop))
+    assert len(ahead_us) > 10
+    assert min(ahead_us) > 5_000
+
+
+def ends_ahead_us(loop: Loop) -> Iterator[int]:
+    """How long before its time the end of each pulse of a main sleeve's valve is on the bus."""
+    begun: dict[str, int] = {}
+    told: set[tuple[str, int]] = set()
+    sampled_us = at_us = 0
+    for now_us, message in loop.messages:
+        if isinstance(message, ValveStatus):
+            sampled_us, at_us = message.sample_time_us, now_us
+        if not isinstance(message, ValveCommand):
+            continue
+        for gear in MAIN_GEARS:
+            valve = f"main_{gear.name.lower()}"
+            action = getattr(message, f"{valve}_action")
+            time_us = getattr(message, f"{valve}_time_us")
+            if action is ValveAction.ON_AT:
+                begun[valve] = time_us
+            elif action is ValveAction.OFF_AT and (valve, time_us) not in told:
+                told.add((valve, time_us))
+                assert valve in begun
+                yield time_us - sampled_us - (now_us - at_us)

@@ -75,6 +75,17 @@ def test_of_a_pulse_the_end_goes_out_once_the_beginning_has_passed() -> None:
     assert [command.rests(T0 + us) for us in (0, 12_000, 22_500)] == [False, False, True]
 
 
+def test_the_end_of_a_pulse_does_not_wait_for_the_next_tick() -> None:
+    """A pulse that stops a sleeve is shorter than a tick: told on the next one, its end came up to
+    a millisecond after its time, and was refused where that tick was late by 1 ms more."""
+    board = scheduled()
+    board.pulse(ValveName.MAIN_FIRST, T0 + 2_000, T0 + 11_000, T0)
+    board.schedule(ValveName.BRAKE, True, T0 + 5_000, T0)
+    assert board.next_switch_us(T0) == T0 + 2_000
+    assert board.message(T0 + 2_000).main_first_action is ValveAction.OFF_AT
+    assert board.next_switch_us(T0 + 2_000) is None
+
+
 def test_hardware_that_cannot_schedule_is_told_both_ends_of_a_pulse_at_their_moments() -> None:
     board = immediate()
     board.pulse(ValveName.MAIN_FIRST, T0 + 12_000, T0 + 22_500, T0)
