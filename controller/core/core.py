@@ -110,7 +110,7 @@ class ControllerCore:
         self._timing = StepTiming(settings.timing.tick_us)
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
-            sheet, settings, self._board, brake, self._observer.references, header.armed
+            sheet, settings, self._board, self._observer.references, header.armed
         )
         self._speeds = ShaftSpeeds(sheet)
         self._guarded = GuardedCommands(header, self._transmitter, self._sequence)
@@ -180,7 +180,7 @@ class ControllerCore:
         self._settings, self._speeds = follower.header.settings, follower.speeds
         self._observer = follower.observer
         sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
+        sequence.sleeves = follower.sleeves
         sequence.change_settings(self._settings)
         self._reporter = Reporter(self.header, self._observer, sequence)
 
@@ -224,6 +224,10 @@ class ControllerCore:
         else:
             snapshot, consumed = self._take_and_decide(now_us, events)
         frames = self._commands(now_us, snapshot, events)
+        sequence = self._sequence
+        self._observer.take_commands(sequence.brake, sequence.take_mesh_changes())
+        if snapshot.takes_in:
+            self._observer.learn(events)
         frames += self._reporter.frames(self._transmitter, snapshot)
         blocks = self._guarded.blocks
         status = self._reporter.status(
@@ -267,7 +271,6 @@ class ControllerCore:
         take(inputs, snapshot.now_us)
         self.snapshot = snapshot
         self._decide(inputs.requested_gear, snapshot, events)
-        self._observer.learn(events)
         return snapshot, consumed
 
     def shutdown(self, now_us: int) -> Step:
@@ -335,6 +338,7 @@ class ControllerCore:
             is_self_tested=self._guarded.guard.is_proven,
             more_lead_us=self._refused.more_us,
             loaded=observer.loaded,
+            brake_delays_us=observer.brake_delays_us,
         )
 
     @property

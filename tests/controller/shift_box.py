@@ -17,7 +17,6 @@ from chamber_sleeve import ChamberSleeve
 from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.models.layshaft import (
-    BrakeInput,
     LayshaftState,
     first_order_law,
     free_motion,
@@ -119,9 +118,8 @@ class Box:
         if self.phase_rad is not None:
             for each in SLEEVE_OF_MAIN:
                 self.references.adopt(each, -self.phase_rad, 1)  # type: ignore[arg-type]
-        self.brake = BrakeInput(DELAY_MS * MS_US)
         self.view = GearboxView(SHEET)
-        self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.brake, self.references)
+        self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.references)
         if self.phase_rad is not None:
             prior = SleeveLaw(SHEET).prior(SHEET)
             law = law_record(Prior(prior.mean, LEARNED_SHARE**2 * prior.covariance), 10)
@@ -160,6 +158,8 @@ class Box:
             if self.has_read:
                 self.sense({one: tuple(samples)[:10] for one, samples in self.tracks.items()})
         self.sequence.step(self.snapshot())
+        for change in self.sequence.take_mesh_changes():
+            self.references.take(change)
         self.seen.append((self.now_us, self.state))
         if self.sequence.finished is not None:
             self.records.append(self.sequence.finished)
@@ -296,6 +296,7 @@ class Box:
             "driven": reported, "supply_pa": self.supply_pa, "engine_rad_s": self.engine,
             "engine_torque_share": round(self.torque, 2),
             "is_self_tested": self.is_self_tested,
+            "brake_delays_us": (DELAY_MS * MS_US, DELAY_MS * MS_US),
         }  # fmt: skip
         return StepSnapshot(**(values | other))
 
