@@ -9,6 +9,7 @@ from benchmarks.swarm.deeds import Deed, Wish
 from meshpoint.bus.core import Step
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.core import POSITIONS, ControllerCore
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -125,8 +126,8 @@ class WatchedController(ControllerCore):
         self._step_us = now_us
         return super().step(now_us)
 
-    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
-        snapshot = super()._snapshot(now_us, engine)
+    def _snapshot(self, now_us: int, speeds: ShaftSpeeds, engine: EEC1 | None) -> StepSnapshot:
+        snapshot = super()._snapshot(now_us, speeds, engine)
         if self._deed is None or self._began_us is None or not self._deed.clock_error_us:
             return snapshot
         error_us = self._deed.clock_error_us

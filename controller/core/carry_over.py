@@ -21,7 +21,7 @@ from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.estimate.reference_recovery import SavedReferences
 from meshpoint.controller.estimate.teeth import ToothPattern
 from meshpoint.controller.measure.clock import ClockProbe
-from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeedMeter, StepInputs
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import (
@@ -199,7 +199,8 @@ class ReplayEstimator:
         self.header = header
         self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
         self.observer = Observer(sheet, settings, self.brake, settings.estimator)
-        self.speeds = ShaftSpeeds(sheet)
+        self.speed_meter = ShaftSpeedMeter(sheet)
+        self._speeds = self.speed_meter.take(StepInputs(), 0)
         self.sleeves = Sleeves(sheet)
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._probe = ClockProbe()
@@ -227,7 +228,7 @@ class ReplayEstimator:
         if read_us is not None:
             observer.clock.stamp(read_us, now_us)
         observer.take(inputs, now_us, events)
-        self.speeds.take(inputs, observer.clock.now_us(now_us))
+        self._speeds = self.speed_meter.take(inputs, observer.clock.now_us(now_us))
         snapshot = self._snapshot(now_us, seen)
         if math.isfinite(snapshot.supply_pa):
             self.sleeves.supply_pa = snapshot.supply_pa - self.header.sheet.air.atmosphere_pa
@@ -246,7 +247,7 @@ class ReplayEstimator:
             observer.view,
             observer.layshaft,
             observer.main_at(sensor_us),
-            self.speeds,
+            self._speeds,
             seen.lost,
             seen.driven,
             observer.view.supply_pa,

@@ -23,7 +23,7 @@ from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.clock import ClockProbe, RefusedLead, StepTiming
-from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeedMeter, ShaftSpeeds, StepInputs
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader, XcpAccess
 from meshpoint.controller.settings.learned import Calibration
@@ -112,7 +112,7 @@ class ControllerCore:
         self._sequence = ShiftSequence(
             sheet, settings, self._board, self._observer.references, header.armed
         )
-        self._speeds = ShaftSpeeds(sheet)
+        self._speed_meter = ShaftSpeedMeter(sheet)
         self._guarded = GuardedCommands(header, self._transmitter, self._sequence)
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
@@ -177,7 +177,7 @@ class ControllerCore:
         """Goes on with a follower's estimates, data sheet and settings: it is this controller's
         from here on. The guard stays the one of the own data sheet."""
         self.header, sequence = follower.header, self._sequence
-        self._settings, self._speeds = follower.header.settings, follower.speeds
+        self._settings, self._speed_meter = follower.header.settings, follower.speed_meter
         self._observer = follower.observer
         sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
         sequence.sleeves = follower.sleeves
@@ -264,9 +264,9 @@ class ControllerCore:
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
-        self._speeds.take(inputs, self._observer.clock.now_us(now_us))
+        speeds = self._speed_meter.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
-        snapshot = self._snapshot(now_us, newest_engine)
+        snapshot = self._snapshot(now_us, speeds, newest_engine)
         take = self._timing.take if self._is_tick(now_us) else self._timing.between
         take(inputs, snapshot.now_us)
         self.snapshot = snapshot
@@ -316,7 +316,7 @@ class ControllerCore:
             self._dropped = 0
         return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
 
-    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
+    def _snapshot(self, now_us: int, speeds: ShaftSpeeds, engine: EEC1 | None) -> StepSnapshot:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
         torque = torque_share(None, None)
@@ -329,8 +329,8 @@ class ControllerCore:
             observer.view,
             observer.layshaft,
             observer.main_at(sensor_us),
-            self._speeds,
-            self._lost(sensor_us),
+            speeds,
+            self._lost(sensor_us, speeds),
             driven_or_pending(observer.valves),
             observer.view.supply_pa,
             None if engine is None else engine.engine_speed_rad_s,
@@ -348,7 +348,7 @@ class ControllerCore:
         lead_us = self._settings.timing.lead_us + self._refused.more_us
         return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
 
-    def _lost(self, sensor_us: int) -> FaultCode:
+    def _lost(self, sensor_us: int, speeds: ShaftSpeeds) -> FaultCode:
         """The most serious fault among inputs that a shift needs and that are missing or
         contradicted; NONE if all are there."""
         receiver, view = self._receiver, self._observer.view
@@ -359,15 +359,15 @@ class ControllerCore:
             return FaultCode.POSITION_STALE
         if in_doubt := self._guarded.in_doubt:
             return WHEEL_FAULTS[in_doubt[0]] if len(in_doubt) == 1 else FaultCode.WHEELS_DISAGREE
-        if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted():
+        if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted(speeds):
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
 
-    def _turns_as_wanted(self) -> bool:
+    def _turns_as_wanted(self, speeds: ShaftSpeeds) -> bool:
         """Whether the speeds are known that a shift needs. In neutral, a splitter that stands
         between its steps leaves the layshaft to itself, and it stops: to bring the step in, no
         speed of it is needed; the propeller's says how fast the new gear would be."""
-        speeds, view, tracker = self._speeds, self._observer.view, self._observer.layshaft
+        view, tracker = self._observer.view, self._observer.layshaft
         if view.main_gear is MainGear.NEUTRAL and None in (view.split, view.range_):
             return speeds.propeller is not None
         if tracker.free and not tracker.latest().is_finite:

@@ -16,6 +16,7 @@ from chamber_sleeve import ChamberSleeve
 
 from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.layshaft import (
     LayshaftState,
     first_order_law,
@@ -279,13 +280,10 @@ class Box:
             model=free_motion(SHEET, self.split, law, self.settings.crossing_filter),
         )  # fmt: skip
         main = ShaftState(self.now_us, self.theta_main, self.main, 1e-4, 0.01)
-        speeds: Any = SimpleNamespace(
-            layshaft=self.layshaft, main=self.main,
-            propeller=self.propeller if self.hears_propeller else None,
-            slip_rad_s=self.slip,
-            split_turns_together=lambda split: self.split is split,
-            range_turns_together=lambda range_: self.range is range_,
-        )  # fmt: skip
+        propeller = self.propeller if self.hears_propeller else None
+        split = self.split
+        input_ = None if split is None else self.layshaft / SHEET.split_mesh(split).ratio
+        speeds = ShaftSpeeds(SHEET, input_, self.layshaft, self.main, propeller)
         reported = tuple(
             valve not in self.refused and not self.board.command(valve).rests(self.now_us)
             for valve in ValveName
