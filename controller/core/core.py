@@ -17,7 +17,7 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Learned, ReplayEstimator, collect, restore
+from meshpoint.controller.core.carry_over import Learned, collect, restore
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
@@ -32,6 +32,7 @@ from meshpoint.controller.shift.context import PredictorSource, ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (
     XCP_COMMAND_ID,
@@ -179,14 +180,22 @@ class ControllerCore:
         its tooth moves alone. For replays of another controller's log."""
         self._observer.references.locked(gear, 0.0)
 
-    def adopt_estimator(self, follower: ReplayEstimator) -> None:
-        """Goes on with a follower's estimates, data sheet and settings: it is this controller's
-        from here on. The guard stays the one of the own data sheet."""
-        self.header, sequence = follower.header, self._sequence
-        self._settings, self._speeds = follower.header.settings, follower.speeds
-        self._observer = follower.observer
-        sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
+    def adopt_estimator(
+        self,
+        header: RunHeader,
+        observer: Observer,
+        *,
+        speeds: ShaftSpeeds,
+        brake: BrakeInput,
+        sleeves: Sleeves,
+    ) -> None:
+        """Goes on with these estimates and the header's data sheet and settings: they are this
+        controller's from here on. The guard stays the one of the own data sheet. For replays."""
+        self.header, self._settings = header, header.settings
+        self._observer, self._speeds = observer, speeds
+        sequence = self._sequence
+        sequence.sheet, sequence.references = header.sheet, observer.references
+        sequence.brake, sequence.sleeves = brake, sleeves
         sequence.change_settings(self._settings)
         self._reporter = Reporter(self.header, self._observer, sequence)
 
