@@ -10,7 +10,6 @@ identifier, so the order in which different senders got onto the bus changes not
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Collection
 from dataclasses import replace
@@ -18,24 +17,22 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Learned, ReplayEstimator, collect, restore
+from meshpoint.controller.core.carry_over import Learned, collect, restore
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.clock import ClockProbe, RefusedLead, StepTiming
 from meshpoint.controller.measure.inputs import ShaftSpeedMeter, ShaftSpeeds, StepInputs
 from meshpoint.controller.models.layshaft import BrakeInput
-from meshpoint.controller.settings.header import RunHeader, XcpAccess
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
-from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.controller.settings.valve_name import driven_or_pending
 from meshpoint.controller.shift.context import PredictorSource, ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.xcp.memory import SLEEVES, StepFacts
-from meshpoint.controller.xcp.node import XcpNode
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (
     XCP_COMMAND_ID,
@@ -116,9 +113,6 @@ class ControllerCore:
         self._guarded = GuardedCommands(header, self._transmitter, self._sequence)
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
-        self._xcp: XcpNode | None = None
-        if header.xcp is not XcpAccess.OFF:
-            self._xcp = XcpNode(header.version, settings, header.xcp)
         self._due_us: int | None = None
         self._wake_us: int | None = None
         self.snapshot: StepSnapshot | None = None
@@ -127,6 +121,8 @@ class ControllerCore:
         """How many shifts have ended since the start."""
         self.strategy_errors: dict[str, int] = {}
         """What was wrong with a user's strategy, and how many shifts ended of it."""
+        self.xcp_commands: list[Frame] = []
+        """What an XCP master has sent and the newest step has consumed; read-only."""
         if header.calibration is not None:
             restore(header.calibration, self._observer, self._sequence.sleeves)
 
@@ -154,33 +150,51 @@ class ControllerCore:
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; written: date and time as text for the
         file."""
-        return collect(self._learned, self._sequence.sleeves, written)
+        return collect(self.learned, self._sequence.sleeves, written)
 
     @property
-    def _learned(self) -> Learned:
+    def learned(self) -> Learned:
+        """What has been learned by now; each figure is worked out where it is asked for."""
         return Learned(self.header, self._observer, self._sequence, self.shifts)
 
+    @property
+    def blocked_row(self) -> int | None:
+        """The guard's row that blocked the newest step's valve command; None: none did."""
+        return self._guarded.guard.blocked_row
+
     def change_settings(self, settings: ControllerSettings) -> None:
-        """Other engagement settings from the next step on; what was learned stays. Call it between
-        shifts; the estimators keep the settings they were built with. The run hash changes."""
+        """As `tune`, for a run of its own: the run hash changes."""
         self.header = replace(self.header, settings=settings)
+        self.tune(settings)
+        self._reporter.change_header(self.header)
+
+    def tune(self, settings: ControllerSettings) -> None:
+        """Other engagement settings from the next step on; what was learned stays. Call it between
+        shifts; the estimators keep the settings they were built with. StrategyError where a user's
+        own strategy cannot be made from them: the one before goes on."""
         self._settings = settings
         self._sequence.change_settings(settings)
-        self._reporter.change_header(self.header)
 
     def note_external_engagement(self, gear: MainGear) -> None:
         """This gear was engaged, but not by this controller: its reference is learned from how
         its tooth moves alone. For replays of another controller's log."""
         self._observer.references.locked(gear, 0.0)
 
-    def adopt_estimator(self, follower: ReplayEstimator) -> None:
-        """Goes on with a follower's estimates, data sheet and settings: it is this controller's
-        from here on. The guard stays the one of the own data sheet."""
-        self.header, sequence = follower.header, self._sequence
-        self._settings, self._speed_meter = follower.header.settings, follower.speed_meter
-        self._observer = follower.observer
-        sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.sleeves = follower.sleeves
+    def adopt_estimator(
+        self,
+        header: RunHeader,
+        observer: Observer,
+        *,
+        speed_meter: ShaftSpeedMeter,
+        sleeves: Sleeves,
+    ) -> None:
+        """Goes on with these estimates and the header's data sheet and settings: they are this
+        controller's from here on. The guard stays the one of the own data sheet. For replays."""
+        self.header, self._settings = header, header.settings
+        self._observer, self._speed_meter = observer, speed_meter
+        sequence = self._sequence
+        sequence.sheet, sequence.references = header.sheet, observer.references
+        sequence.sleeves = sleeves
         sequence.change_settings(self._settings)
         self._reporter = Reporter(self.header, self._observer, sequence)
 
@@ -219,7 +233,7 @@ class ControllerCore:
             [UNARMED] if self._due_us is None and not self._guarded.guard.is_armed else []
         )
         if self.snapshot is not None and self._is_for_an_end(now_us):
-            consumed, self._heard = NOTHING, []
+            consumed, self._heard, self.xcp_commands = NOTHING, [], []
             snapshot = self.snapshot = self._later(self.snapshot, now_us)
         else:
             snapshot, consumed = self._take_and_decide(now_us, events)
@@ -234,8 +248,6 @@ class ControllerCore:
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, blocks
         )
         frames.append(self._transmitter.encode(status))
-        if self._xcp is not None:
-            frames += self._answer(self._xcp, frames, snapshot, events)
         # In order of bus priority; the status frame comes last and completes the step.
         frames.sort(key=_identifier)
         self._plan_next_step(now_us, snapshot.now_us)
@@ -294,6 +306,7 @@ class ControllerCore:
         inputs = StepInputs()
         consumed: list[bytes] = []
         self._heard = heard = []
+        self.xcp_commands = xcp_commands = []
         inbox, self._inbox = sorted(self._inbox, key=_identifier), []
         receive = self._receiver.receive
         for frame in inbox:
@@ -302,8 +315,7 @@ class ControllerCore:
                 continue
             if can_id == XCP_COMMAND_ID:
                 consumed += (can_id.to_bytes(4, "little"), frame[1])
-                if self._xcp is not None:
-                    self._xcp.receive(frame)
+                xcp_commands.append(frame)
                 continue
             heard.append(frame)
             verdict, message = receive(frame)
@@ -405,30 +417,6 @@ class ControllerCore:
     def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
         valves = self._board.message(snapshot.now_us + self._ahead_us)
         return self._guarded.frames(valves, self._heard, now_us, snapshot, events)
-
-    def _answer(
-        self, xcp: XcpNode, frames: list[Frame], snapshot: StepSnapshot, events: list[str]
-    ) -> list[Frame]:
-        """What an XCP master gets after this step. Settings that it has changed are used from the
-        next step on, unless a shift runs: then once it has ended."""
-        sequence, tracks = self._sequence, snapshot.view.tracks
-        facts = StepFacts(
-            tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
-            self._guarded.guard.blocked_row or 0,
-            lambda: self._learned,
-        )
-        ended = sequence.finished is not None
-        answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)
-        events += lines
-        change = xcp.take_change() if sequence.shift is None else None
-        if change is not None:
-            self._settings, words = change
-            events.append(f"XCP: {words}")
-            try:
-                sequence.change_settings(self._settings)
-            except StrategyError as error:  # a user's own, made anew from the settings
-                events.append(f"own strategy: {error}")
-        return answers
 
     def _is_tick(self, now_us: int) -> bool:
         """Whether a step is a tick's, and not one between for the clock or for a valve."""
