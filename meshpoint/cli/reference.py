@@ -1,4 +1,4 @@
-"""The reference pages, generated from the code: settings, data sheet, commands.
+"""The reference pages, generated from the code: settings, data sheet, rig, commands.
 
 With a folder it writes them there (`make reference`); with `--check` behind the folder it compares
 and ends with 1 where one is out of date:
@@ -12,7 +12,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from meshpoint.base.exits import Exit
 from meshpoint.bus.simulated.contract_traffic import (
@@ -33,6 +33,10 @@ from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, rounded
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import Profile
+
+if TYPE_CHECKING:
+    from meshpoint.rig_sim.truck.as_built import Parameter
 
 SPECS: Final = {spec.name: spec for spec in SCHEMA.messages}
 GENERATED: Final = "Generated from the code by `make reference`; a test holds it equal."
@@ -138,6 +142,39 @@ def bus_page() -> str:
     return "\n".join([*lines, *_table(heads, rows)]) + "\n"
 
 
+def rig_page() -> str:
+    """docs/reference/rig.md."""
+    from meshpoint.rig_sim.truck.as_built import parameters
+
+    lines = [
+        "# Parameters of the simulated gearbox", "", GENERATED, "",
+        "What the preset `truck` has beyond the data sheet. A gearbox as built has each value "
+        "evenly within the middle +- the deviation, kept within the range; an as-built file sets "
+        "any of them within the range. A profile without a value of its own has that of `clean`. "
+        "Units are in the names. Sources: T the thesis; S published, named; D derived; M "
+        "representative. Equations and profiles: [gearbox.md](../gearbox.md).",
+    ]  # fmt: skip
+    clean, *others = (parameters(profile) for profile in Profile)
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for name, parameter in clean.items():
+        group, _, key = name.partition(".")
+        note, _, source = parameter.note.rpartition("; ")
+        drawn = [_drawn(each[name]) for each in (clean, *others)]
+        own = [text if text != drawn[0] else "" for text in drawn[1:]]
+        spread = f"{parameter.low:g} to {parameter.high:g}"
+        row = (f"`{key}`", drawn[0], *own, spread, note, source)
+        groups.setdefault(group, []).append(row)
+    heads = ("parameter", *Profile, "range", "what it is", "source")
+    for group, rows in groups.items():
+        lines += ["", f"## `[{group}]`", "", *_table(heads, rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _drawn(parameter: Parameter) -> str:
+    spread = f" +- {parameter.deviation:g}" if parameter.deviation else ""
+    return f"{parameter.default:g}{spread}"
+
+
 def vectors_page() -> str:
     """docs/reference/vectors.md."""
     heads = ("message", "what it says", "identifier", "data ID", "frame, as cansend takes it")
@@ -200,6 +237,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "gearbox.md": gearbox_page,
     "commands.md": commands_page,
     "bus.md": bus_page,
+    "rig.md": rig_page,
     "vectors.md": vectors_page,
 }
 """Each page by its file's name."""
