@@ -1,4 +1,4 @@
-"""The reference pages, generated from the code: settings, data sheet, rig, commands.
+"""The reference pages, generated from the code: settings, calibration, data sheet, rig, commands.
 
 With a folder it writes them there (`make reference`); with `--check` behind the folder it compares
 and ends with 1 where one is out of date:
@@ -28,6 +28,7 @@ from meshpoint.bus.simulated.frame_bits import BitTiming
 from meshpoint.bus.simulated.response_time import load, worst_response_ns
 from meshpoint.cli import vectors
 from meshpoint.cli.parsing import subparsers
+from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import SettingsFile
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
@@ -60,6 +61,26 @@ def settings_page() -> str:
             for key in group.keys
         ]  # fmt: skip
         lines += _table(("key", "default", "unit", "allowed", "meaning"), rows)
+    return "\n".join(lines) + "\n"
+
+
+def calibration_page() -> str:
+    """docs/reference/calibration.md."""
+    lines = [
+        "# The calibration file", "", GENERATED, "",
+        "What a controller has learned of one gearbox, in TOML; a table that is not known is left "
+        "out. What is learned when, and when a file is refused: "
+        "[calibration.md](../calibration.md).",
+    ]  # fmt: skip
+    alike: dict[tuple[str, tuple[tuple[str, ...], ...]], list[str]] = {}
+    for group in groups_of(Calibration):
+        rows = tuple((f"`{k.name}`", k.unit, k.allowed, k.meaning) for k in group.keys)
+        if rows:
+            alike.setdefault((group.meaning, rows), []).append(group.name)
+    for (meaning, rows), names in alike.items():
+        head = ", ".join(f"`[{name}]`" for name in names if name)
+        lines += ["", f"## {head or 'At the top'}", "", meaning, ""]
+        lines += _table(("key", "unit", "allowed", "meaning"), rows)
     return "\n".join(lines) + "\n"
 
 
@@ -234,6 +255,7 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 PAGES: Final[dict[str, Callable[[], str]]] = {
     "settings.md": settings_page,
+    "calibration.md": calibration_page,
     "gearbox.md": gearbox_page,
     "commands.md": commands_page,
     "bus.md": bus_page,
