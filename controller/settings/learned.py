@@ -83,7 +83,7 @@ class WheelRecords:
 
 @dataclass(frozen=True)
 class ReferenceRecords:
-    """Phase references (`controller/estimate/reference.py`), by the wheels' tooth numbers."""
+    """Phase references (`estimate/reference.py`), in the numbering of the wheels' teeth."""
 
     crawl_rad: float | None = quantity("crawl_deg", -180.0, 180.0, DEG, default=None)
     first_rad: float | None = quantity("first_deg", -180.0, 180.0, DEG, default=None)

@@ -27,6 +27,7 @@ from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.bus.simulated.frame_bits import BitTiming
 from meshpoint.bus.simulated.response_time import load, worst_response_ns
 from meshpoint.cli import vectors
+from meshpoint.cli.json_keys import COUNTERFACTUAL_KEYS, JUDGED_KEYS, STRATEGY_KEYS
 from meshpoint.cli.parsing import subparsers
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import SettingsFile
@@ -79,6 +80,7 @@ def calibration_page() -> str:
             alike.setdefault((group.meaning, rows), []).append(group.name)
     for (meaning, rows), names in alike.items():
         head = ", ".join(f"`[{name}]`" for name in names if name)
+        meaning = meaning.replace("`estimate/", "`controller/estimate/")
         lines += ["", f"## {head or 'At the top'}", "", meaning, ""]
         lines += _table(("key", "unit", "allowed", "meaning"), rows)
     return "\n".join(lines) + "\n"
@@ -196,6 +198,24 @@ def _drawn(parameter: Parameter) -> str:
     return f"{parameter.default:g}{spread}"
 
 
+def json_page() -> str:
+    """docs/reference/json.md."""
+    lines = ["# Keys of `--json`", "", GENERATED]
+    for head, keys in (
+        ("A row of `shifts` of `replay --strategy`", JUDGED_KEYS),
+        ("`counterfactual` of such a row", COUNTERFACTUAL_KEYS),
+        ("`strategies.NAME` of `campaign`, over all judged shifts", STRATEGY_KEYS),
+    ):
+        rows = [(f"`{key}`", meaning) for key, meaning in keys.items()]
+        lines += ["", f"## {head}", "", *_table(("key", "meaning"), rows)]
+    lines += [
+        "", "Times of a replay are ms since the request; what they say: "
+        "[replay.md](../replay.md#open-loop). The figures that `--fail-if` takes: "
+        "[ci.md](../ci.md#without-any-can-virtual-time).",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
 def vectors_page() -> str:
     """docs/reference/vectors.md."""
     heads = ("message", "what it says", "identifier", "data ID", "frame, as cansend takes it")
@@ -259,6 +279,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "gearbox.md": gearbox_page,
     "commands.md": commands_page,
     "bus.md": bus_page,
+    "json.md": json_page,
     "rig.md": rig_page,
     "vectors.md": vectors_page,
 }
