@@ -162,9 +162,9 @@ swarm-nightly: $(VENV)/test.stamp
 	$(BIN)/python -m benchmarks.swarm --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
 	    --json out/swarm.json
 
-# The table of docs/faults.md, from scenarios that are run for it.
+# The table of docs/reference/faults.md, from scenarios that are run for it.
 faults: $(VENV)/test.stamp
-	$(BIN)/python -m benchmarks.swarm.named docs/faults.md
+	$(BIN)/python -m benchmarks.swarm.named docs/reference/faults.md
 
 # Each bug of tests/planted in a copy of the product: is it caught?
 planted: $(VENV)/test.stamp

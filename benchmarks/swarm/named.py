@@ -182,7 +182,7 @@ def what(named: Named) -> str:
 
 
 def table_row(outcome: Outcome) -> str:
-    """A line of docs/faults.md."""
+    """A line of docs/reference/faults.md."""
     named: Any = outcome.named
     found = "-" if outcome.found_ms is None else f"{outcome.found_ms:.0f}"
     value = f" {named.value:g}" if named.value else ""

@@ -1,4 +1,4 @@
-"""The reference pages, generated from the code: settings, data sheet, commands.
+"""The reference pages, generated from the code: settings, calibration, data sheet, rig, commands.
 
 With a folder it writes them there (`make reference`); with `--check` behind the folder it compares
 and ends with 1 where one is out of date:
@@ -12,7 +12,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from meshpoint.base.exits import Exit
 from meshpoint.bus.simulated.contract_traffic import (
@@ -27,12 +27,18 @@ from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.bus.simulated.frame_bits import BitTiming
 from meshpoint.bus.simulated.response_time import load, worst_response_ns
 from meshpoint.cli import vectors
+from meshpoint.cli.json_keys import COUNTERFACTUAL_KEYS, JUDGED_KEYS, STRATEGY_KEYS
 from meshpoint.cli.parsing import subparsers
+from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import SettingsFile
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, rounded
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import Profile
+
+if TYPE_CHECKING:
+    from meshpoint.rig_sim.truck.as_built import Parameter
 
 SPECS: Final = {spec.name: spec for spec in SCHEMA.messages}
 GENERATED: Final = "Generated from the code by `make reference`; a test holds it equal."
@@ -56,6 +62,27 @@ def settings_page() -> str:
             for key in group.keys
         ]  # fmt: skip
         lines += _table(("key", "default", "unit", "allowed", "meaning"), rows)
+    return "\n".join(lines) + "\n"
+
+
+def calibration_page() -> str:
+    """docs/reference/calibration.md."""
+    lines = [
+        "# The calibration file", "", GENERATED, "",
+        "What a controller has learned of one gearbox, in TOML; a table that is not known is left "
+        "out. What is learned when, and when a file is refused: "
+        "[calibration.md](../calibration.md).",
+    ]  # fmt: skip
+    alike: dict[tuple[str, tuple[tuple[str, ...], ...]], list[str]] = {}
+    for group in groups_of(Calibration):
+        rows = tuple((f"`{k.name}`", k.unit, k.allowed, k.meaning) for k in group.keys)
+        if rows:
+            alike.setdefault((group.meaning, rows), []).append(group.name)
+    for (meaning, rows), names in alike.items():
+        head = ", ".join(f"`[{name}]`" for name in names if name)
+        meaning = meaning.replace("`estimate/", "`controller/estimate/")
+        lines += ["", f"## {head or 'At the top'}", "", meaning, ""]
+        lines += _table(("key", "unit", "allowed", "meaning"), rows)
     return "\n".join(lines) + "\n"
 
 
@@ -138,6 +165,57 @@ def bus_page() -> str:
     return "\n".join([*lines, *_table(heads, rows)]) + "\n"
 
 
+def rig_page() -> str:
+    """docs/reference/rig.md."""
+    from meshpoint.rig_sim.truck.as_built import parameters
+
+    lines = [
+        "# Parameters of the simulated gearbox", "", GENERATED, "",
+        "What the preset `truck` has beyond the data sheet. A gearbox as built has each value "
+        "evenly within the middle +- the deviation, kept within the range; an as-built file sets "
+        "any of them within the range. A profile without a value of its own has that of `clean`. "
+        "Units are in the names. Sources: T the thesis; S published, named; D derived; M "
+        "representative. Equations and profiles: [gearbox.md](../gearbox.md).",
+    ]  # fmt: skip
+    clean, *others = (parameters(profile) for profile in Profile)
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for name, parameter in clean.items():
+        group, _, key = name.partition(".")
+        note, _, source = parameter.note.rpartition("; ")
+        drawn = [_drawn(each[name]) for each in (clean, *others)]
+        own = [text if text != drawn[0] else "" for text in drawn[1:]]
+        spread = f"{parameter.low:g} to {parameter.high:g}"
+        row = (f"`{key}`", drawn[0], *own, spread, note, source)
+        groups.setdefault(group, []).append(row)
+    heads = ("parameter", *Profile, "range", "what it is", "source")
+    for group, rows in groups.items():
+        lines += ["", f"## `[{group}]`", "", *_table(heads, rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _drawn(parameter: Parameter) -> str:
+    spread = f" +- {parameter.deviation:g}" if parameter.deviation else ""
+    return f"{parameter.default:g}{spread}"
+
+
+def json_page() -> str:
+    """docs/reference/json.md."""
+    lines = ["# Keys of `--json`", "", GENERATED]
+    for head, keys in (
+        ("A row of `shifts` of `replay --strategy`", JUDGED_KEYS),
+        ("`counterfactual` of such a row", COUNTERFACTUAL_KEYS),
+        ("`strategies.NAME` of `campaign`, over all judged shifts", STRATEGY_KEYS),
+    ):
+        rows = [(f"`{key}`", meaning) for key, meaning in keys.items()]
+        lines += ["", f"## {head}", "", *_table(("key", "meaning"), rows)]
+    lines += [
+        "", "Times of a replay are ms since the request; what they say: "
+        "[replay.md](../replay.md#open-loop). The figures that `--fail-if` takes: "
+        "[ci.md](../ci.md#without-any-can-virtual-time).",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
 def vectors_page() -> str:
     """docs/reference/vectors.md."""
     heads = ("message", "what it says", "identifier", "data ID", "frame, as cansend takes it")
@@ -197,9 +275,12 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 PAGES: Final[dict[str, Callable[[], str]]] = {
     "settings.md": settings_page,
+    "calibration.md": calibration_page,
     "gearbox.md": gearbox_page,
     "commands.md": commands_page,
     "bus.md": bus_page,
+    "json.md": json_page,
+    "rig.md": rig_page,
     "vectors.md": vectors_page,
 }
 """Each page by its file's name."""

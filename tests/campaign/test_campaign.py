@@ -20,6 +20,7 @@ from meshpoint.campaigns.run import RunResult, run_many
 from meshpoint.campaigns.spec import CampaignSpec, Job
 from meshpoint.campaigns.summary import summarise
 from meshpoint.campaigns.table import CELLS
+from meshpoint.cli.json_keys import STRATEGY_KEYS
 from meshpoint.cli.main import main
 from meshpoint.results.rows import ShiftRow
 
@@ -119,6 +120,11 @@ def test_shifts_whose_impact_is_not_complete_are_counted() -> None:
     ]
     figures = summarise(Shifts.of(records), ("target_phase",))["strategies"]["target_phase"]
     assert CELLS["impact incomplete"](figures) == "3"
+
+
+def test_every_figure_is_in_the_reference() -> None:
+    figures = summarise(Shifts.of([judged_shift(strategy="x")]), ("x",))["strategies"]["x"]
+    assert set(figures) == set(STRATEGY_KEYS)
 
 
 def test_shifts_with_an_abort_and_aborts_in_all_are_figures_of_each_strategy() -> None:

@@ -1,4 +1,4 @@
-"""docs/faults.md: each of its scenarios is run, and held against its line."""
+"""docs/reference/faults.md: each of its scenarios is run, and held against its line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from benchmarks.swarm.episode import declared
 from benchmarks.swarm.events import BUS_KINDS, NODE_KINDS, RIG_KINDS
 from benchmarks.swarm.named import BEGIN, END, HEAD, NAMED, Named, run_named, table_row
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
+DOCS = Path(__file__).parents[2] / "docs"
+DOCUMENT = DOCS / "reference" / "faults.md"
 TICK_MS = 10.0
 STALE_MS = 51.0
 """50 ms, and the microseconds between the fault and the step that it is counted from."""
@@ -64,7 +65,7 @@ def test_the_table_has_a_line_a_scenario() -> None:
 
 
 def test_every_row_of_the_guard_stands_against_a_hazard() -> None:
-    text = (DOCUMENT.parent / "safety.md").read_text(encoding="utf-8")
+    text = (DOCS / "safety.md").read_text(encoding="utf-8")
     table = text.split("| hazard |")[1].split("\n\n")[0]
     rows = {
         row.strip() for line in table.splitlines()[2:] for row in line.split("|")[-2].split(",")

@@ -9,6 +9,7 @@ from pathlib import Path
 import cantools.database
 import pytest
 
+from meshpoint.cli.json_keys import COUNTERFACTUAL_KEYS, JUDGED_KEYS
 from meshpoint.cli.main import main
 from meshpoint.cli.reference import PAGES
 from meshpoint.cli.reference import main as reference
@@ -23,6 +24,8 @@ from meshpoint.controller.settings.settings import (
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, unit_of
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.report.counterfactual import Counterfactual
+from meshpoint.report.judged import Judged
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "reference"
 
@@ -49,6 +52,16 @@ def test_a_page_that_is_out_of_date_is_named(
     capsys.readouterr()
     assert reference([str(tmp_path), "--check"]) == 1
     assert "settings.md" in capsys.readouterr().err
+
+
+def test_every_key_of_a_judged_shift_is_there() -> None:
+    shift = Judged(
+        8, 10, 0, "target_phase", "known", "waiting", "", None, None, None, None, None, "why",
+        counterfactual=Counterfactual(),
+    )  # fmt: skip
+    row = shift.to_json()
+    assert {*row, "recorded"} == set(JUDGED_KEYS)
+    assert set(row["counterfactual"]) == set(COUNTERFACTUAL_KEYS)
 
 
 @pytest.mark.parametrize("kind", [SettingsFile, GearboxSheet])
