@@ -141,6 +141,7 @@ class WatchedController(ControllerCore):
             return
         sequence = self._sequence
         sequence.finished = sequence.decision = None
+        sequence.sense_sleeves(snapshot)  # by whose reads what the guard blocks is counted
         wish: Wish = self._deed.wish(self._step_us - self._began_us, self._seed)
         sequence.clutch = wish.clutch
         sequence.engine_rad_s = None if wish.engine_rpm is None else wish.engine_rpm * RPM
