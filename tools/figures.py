@@ -6,7 +6,7 @@
     python tools/figures.py --all      makes those again whose code has changed since, where a
                                        command gives them, and names the others
 
-A document shows a figure between two marks, `<!-- figure: typical.aimed_gap -->` and `<!-- / -->`.
+A document shows a figure between two marks, `<!-- figure: typical.phase_gap -->` and `<!-- / -->`.
 In the same section it says of what code the figure is: between `<!-- as of: typical, alone_* -->`
 and `<!-- / -->` stand the commit, and whether the code has changed since. The head of the file says
 what an entry has.

@@ -59,7 +59,7 @@ def figures(made: Made) -> dict[str, Any]:
         "duration_ms": own["duration_ms"]["mean"],
         "impact_j": own["impact_j"]["mean"],
         "outside_window": own.get("outside_window"),
-        "not_engaged": own["given_up"],
+        "not_engaged": own.get("not_engaged", own.get("given_up")),
         "refused": own.get("refused"),
         "reference_known": own["reference_known"],
         "promised": promise.get("said"),

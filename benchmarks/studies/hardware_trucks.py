@@ -230,8 +230,8 @@ def _row(found: dict[str, Any]) -> tuple[Any, ...]:
     gap, ramp = found["first_contact_gap"], found["after_ramp_ms"]
     return (
         found["shifts"], gap["rate"], *gap["ci95"], ramp["mean"], ramp["p99"],
-        found["impact_j"]["mean"], found["thrown_back"], found["retries"], found["aborts"],
-        found["unmeant"], found["given_up"],
+        found["impact_j"]["mean"], found["bounced_off"], found["retries"], found["aborts"],
+        found["unmeant"], found["not_engaged"],
     )  # fmt: skip
 
 
@@ -253,7 +253,7 @@ def _said(found: dict[str, Any]) -> str:
         f"{gap['rate']:.3f} ({_interval(gap['ci95'], '.3f')}) of {found['shifts']} first contacts "
         f"in a gap, {_figure(found['after_ramp_ms']['mean'], '.0f')} ms after the ramp, "
         f"{impact['mean']:.2f} J ({_interval(impact['mean_ci95'], '.2f')}), {found['aborts']} "
-        f"aborts, {found['unmeant']} unmeant contacts, {found['given_up']} not engaged"
+        f"aborts, {found['unmeant']} unmeant contacts, {found['not_engaged']} not engaged"
     )
 
 

@@ -157,15 +157,15 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
         },
         "phases_ms": {part: _mean(shifts.known(part)) for part in PARTS},
         "bound_ms": _mean(shifts.known("bound_ms")),
-        "over_bound": _over_bound(shots),
+        "over_minimum": _over_minimum(shots),
         "aborted": _rate(shots.rate(aborts > 0)),
         "aborts_mean": _mean(aborts),
         "retries": int(np.maximum(0, shifts.column("attempts") - 1).sum()),
         "blocked": int(shifts.column("blocked").sum()),
         "outside_window": int(shifts.column("outside_window").sum()),
-        "thrown_back": int((shots.is_gap & (shifts.column("ratchets") > 0)).sum()),
+        "bounced_off": int((shots.is_gap & (shifts.column("ratchets") > 0)).sum()),
         "ratchets": int(shifts.column("ratchets").sum()),
-        "given_up": int((~shifts.engaged).sum()),
+        "not_engaged": int((~shifts.engaged).sum()),
         "phase_error_mean_deg": finite(errors.mean()) if errors.size else None,
         "phase_error_sd_deg": finite(errors.std(ddof=1)) if errors.size > 1 else None,
         "slip_rpm_mean": _mean(shifts.known("slip_rpm")),
@@ -182,7 +182,7 @@ def _promise(shots: Shots) -> dict[str, Any]:
     return {"shifts": said.size, "said": _mean(said), "kept": _mean(kept)}
 
 
-def _over_bound(shots: Shots) -> float | None:
+def _over_minimum(shots: Shots) -> float | None:
     """Mean duration from the end of the torque ramp on over the mean bound, of the shifts that have
     a bound."""
     bound_ms, spent_ms = shots.shifts.column("bound_ms"), shots.after_ramp_ms()

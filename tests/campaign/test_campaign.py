@@ -71,7 +71,7 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         after_ms = figures["duration_ms"]["mean"] - ramp_ms
         assert figures["after_ramp_ms"]["mean"] == pytest.approx(after_ms)
         for key in (
-            "retries", "blocked", "given_up", "phase_error_sd_deg", "reference_known",
+            "retries", "blocked", "not_engaged", "phase_error_sd_deg", "reference_known",
         ):  # fmt: skip
             assert isinstance(figures[key], (int, float))
         known_from = sum(figures["reference_sources"].values())

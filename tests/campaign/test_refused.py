@@ -58,14 +58,14 @@ def test_refused_requests_are_counted_apart_from_shifts_not_engaged() -> None:
     shifts = [*(shift(seed) for seed in range(6)), shift(6, result="failed", contact=None)]
     records = [*shifts, *(refused(seed) for seed in range(7, 10))]
     found = summarise(Shifts.of(records), (OWN,))["strategies"][OWN]
-    assert (found["shifts"], found["refused"], found["given_up"]) == (7, 3, 1)
+    assert (found["shifts"], found["refused"], found["not_engaged"]) == (7, 3, 1)
     assert found["first_contact_gap"]["rate"] == pytest.approx(6 / 7)
     assert (CELLS["refused"](found), CELLS["not engaged"](found)) == ("3", "1")
 
 
 def test_a_campaign_of_refused_requests_says_so() -> None:
     found = summarise(Shifts.of([refused(1), refused(2)]), (OWN,))["strategies"][OWN]
-    assert (found["shifts"], found["refused"], found["given_up"]) == (0, 2, 0)
+    assert (found["shifts"], found["refused"], found["not_engaged"]) == (0, 2, 0)
     assert found["first_contact_gap"]["rate"] is None
     assert found["duration_ms"]["mean"] is None
 

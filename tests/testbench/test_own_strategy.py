@@ -286,7 +286,7 @@ def test_a_mistake_in_a_campaign_is_named_too(
     code, values = campaign(tmp_path, "--strategy", f"{name},speed_window", *few)
     assert code == 1
     assert values["failed"] == []
-    assert values["strategies"]["speed_window"]["given_up"] == 0
-    assert values["strategies"][name]["given_up"] == 1
+    assert values["strategies"]["speed_window"]["not_engaged"] == 0
+    assert values["strategies"][name]["not_engaged"] == 1
     reported = "mine.py:11: ZeroDivisionError: division by zero (1 shift ended of it)"
     assert reported in capsys.readouterr().err
