@@ -108,7 +108,7 @@ class Transmitter:
         }
         self._unread: dict[type[Message], Frame] = {}
 
-    def leave_unread(self, message_types: Collection[type[Message]]) -> None:
+    def skip_unsubscribed(self, message_types: Collection[type[Message]]) -> None:
         """Nobody on this bus reads these messages: those of them that these nodes send are not made
         where `unread` is asked before."""
         for sender in self._senders.values():

@@ -72,10 +72,10 @@ class RigCore:
         """Other oil, load, slope or supply from now on, by their as-built names; preset truck."""
         self._world.change_conditions(values)
 
-    def leave_unread(self, messages: Collection[type[Message]]) -> None:
+    def skip_unsubscribed(self, messages: Collection[type[Message]]) -> None:
         """Nobody on this bus reads these messages: of those that take time to work out, empty
         frames are sent."""
-        self._transmitter.leave_unread(messages)
+        self._transmitter.skip_unsubscribed(messages)
 
     @property
     def next_step_us(self) -> int:

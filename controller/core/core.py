@@ -203,10 +203,10 @@ class ControllerCore:
         of what a strategy could do with perfect knowledge."""
         self._sequence.predictor_source = source
 
-    def leave_unread(self, messages: Collection[type[Message]]) -> None:
+    def skip_unsubscribed(self, messages: Collection[type[Message]]) -> None:
         """Nobody on this bus reads these messages: of those that take time to work out, empty
         frames are sent."""
-        self._transmitter.leave_unread(messages)
+        self._transmitter.skip_unsubscribed(messages)
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""

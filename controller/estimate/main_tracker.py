@@ -122,7 +122,7 @@ class ModelSelector:
         self._window, self._newest = 0.0, None
         self._open.clear()
 
-    def wants(self, from_us: float) -> bool:
+    def is_due(self, from_us: float) -> bool:
         """Whether the next predictions are due."""
         return not self._open or from_us + AHEAD_US >= self._open[-1][0] + EACH_US
 
@@ -238,7 +238,7 @@ class MainTracker(WheelTracker[SwingLesson]):
         self._cloud.take(edges, self.teeth.sd_rad)
         rivals.judge(edges, self._half_gap_rad)
         state = self._filter
-        asked = rivals.wants(state.time_us)
+        asked = rivals.is_due(state.time_us)
         if not (asked or rivals.lash_is_selected):
             return
         trajectory = self._cloud.trajectory(self._half_gap_rad)

@@ -80,7 +80,7 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         # one that was pushed back: the guard takes it to be on its way to a gear until then.
         is_pushed = shift.pushed_us is not None and not shift.is_braked
         waits = is_pushed or snapshot.view.range_ is not shift.target.range_
-        if not waits or stand(context, snapshot):
+        if not waits or sleeves_stand(context, snapshot):
             return Trigger.MAIN_BOX_NEUTRAL
         return None
     if gear is not None and gear is not MainGear.NEUTRAL:
@@ -162,7 +162,7 @@ def comes_to_rest(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     )
 
 
-def stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+def sleeves_stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether both main sleeves are seen to stand since a valve last pushed one of them."""
     return context.is_shut(snapshot.now_us) and not is_under_way(context, snapshot)
 

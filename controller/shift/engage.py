@@ -202,7 +202,7 @@ def abort(context: ShiftContext, halt: Halt, snapshot: StepSnapshot) -> Trigger:
     return Trigger.ABORTED
 
 
-def stand(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+def hold(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Before the teeth: waits for a gap within reach, and fires again."""
     shift = context.running
     gear = shift.target.main

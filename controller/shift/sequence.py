@@ -25,7 +25,7 @@ from meshpoint.controller.shift.disengage import (
     has_left_neutral,
     open_clutch,
 )
-from meshpoint.controller.shift.engage import CALLS, engage, recall, retract, stand
+from meshpoint.controller.shift.engage import CALLS, engage, hold, recall, retract
 from meshpoint.controller.shift.engine import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
 from meshpoint.controller.shift.step_snapshot import FREE_STATES, MISSING, StepSnapshot
@@ -164,7 +164,7 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.CLUTCH_PARTING: part_clutch,
     State.COASTING: coast,
     State.ENGAGING: engage,
-    State.HALTED: stand,
+    State.HALTED: hold,
     State.RETRACTING: retract,
     State.CLUTCH_CLOSING: close_clutch,
     State.FAULTED: wait_for_position,

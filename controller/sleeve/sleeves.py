@@ -436,7 +436,7 @@ class Sleeves:
         for sleeve, tracked in self._sleeves.items():
             law: SleeveLawRecord | None = getattr(laws, sleeve.name.lower())
             if law is not None:
-                tracked.know(known_from(law))
+                tracked.set_prior(known_from(law))
                 tracked.movements = law.movements
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
         for gear, chance in self._chances.items():

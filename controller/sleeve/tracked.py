@@ -111,7 +111,7 @@ class TrackedSleeve(DrivenSleeve):
         self.met_us: dict[int, float] = {}
         """When it last came to the teeth on either side, as measured; whatever the law says."""
 
-    def know(self, known: Prior) -> None:
+    def set_prior(self, known: Prior) -> None:
         """This is known from now on, and nothing of a movement."""
         self._known = known
         self.version += 1
@@ -408,7 +408,7 @@ class TrackedSleeve(DrivenSleeve):
         spread = covariance @ slope
         gain = spread / (float(slope @ spread) + STOP_SD_M**2)
         spread = covariance - np.outer(gain, slope @ covariance)
-        self.know(Prior(mean + gain * (reading_m - shown), spread))
+        self.set_prior(Prior(mean + gain * (reading_m - shown), spread))
 
 
 def _place_m(learned: Vector, reading_m: float) -> float:

@@ -106,8 +106,8 @@ class ClosedLoop:
         self._bench = BenchCore(drawn.plan, short_pauses(sheet, drawn.profile, rest_us))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         if log is None and wire is WireProfile.FD:
-            self.controller.leave_unread(UNREAD)
-            self._rig.leave_unread(UNREAD)
+            self.controller.skip_unsubscribed(UNREAD)
+            self._rig.skip_unsubscribed(UNREAD)
         self._driver = virtual_bench(
             setup,
             self.controller,

@@ -193,7 +193,7 @@ def judged(rivals: ModelSelector, swing: Prediction, lash: Prediction) -> None:
     for k in range(0, EVEN.size, 2):
         edges = np.array((EVEN[k : k + 2], np.zeros(2)))
         rivals.judge(edges, GAP_RAD)
-        if rivals.wants(float(EVEN[k + 1])):
+        if rivals.is_due(float(EVEN[k + 1])):
             rivals.predict(float(EVEN[k + 1]), swing, lash)
     rivals.end()
 
@@ -231,9 +231,9 @@ def test_backlash_is_believed_after_some_windows_and_forgotten_where_it_fails() 
 
 def test_predictions_are_asked_for_one_step_after_another() -> None:
     rivals = ModelSelector()
-    assert rivals.wants(0.0)
+    assert rivals.is_due(0.0)
     rivals.predict(0.0, Prediction(0.0, 1.0), Prediction(0.0, 1.0))
-    assert not rivals.wants(EACH_US - 1.0)
-    assert rivals.wants(EACH_US)
+    assert not rivals.is_due(EACH_US - 1.0)
+    assert rivals.is_due(EACH_US)
     rivals.begin()
-    assert rivals.wants(0.0)
+    assert rivals.is_due(0.0)

@@ -222,7 +222,7 @@ def test_what_nobody_reads_is_an_empty_frame_of_its_message() -> None:
     rig, controller = Transmitter(Node.GEARBOX_IO, Node.REFERENCE), Transmitter(Node.BENCH)
     assert rig.unread(ReferenceEncoder) is None
     for transmitter in (rig, controller):
-        transmitter.leave_unread({ReferenceEncoder, ReferenceEngagement})
+        transmitter.skip_unsubscribed({ReferenceEncoder, ReferenceEngagement})
     specs = [CODECS[kind.__name__].spec for kind in (ReferenceEngagement, ReferenceEncoder)]
     empty = [Frame(spec.can_id, bytes(spec.length), spec.is_fd, True) for spec in specs]
     assert rig.unread(ReferenceEngagement, ReferenceEncoder) == empty
