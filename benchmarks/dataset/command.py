@@ -60,7 +60,7 @@ def make(gearbox: Gearbox) -> Made:
 
 @contextmanager
 def workers(jobs: int) -> Iterator[Workers]:
-    """This process, or so many of their own; what they make is the same."""
+    """This process, or this number of their own; what they make is the same."""
     if jobs == 1:
         yield lambda gearboxes: map(make, gearboxes)
         return

@@ -60,7 +60,7 @@ the set. Split `{split}`:
 {table}
 
 `rms_deg`: root of the mean square error. `in_half_gap`: share of errors of at most {half_gap:g}
-deg. `in_1_sd`, `in_2_sd`: share within so many of the standard deviations that were given.
+deg. `in_1_sd`, `in_2_sd`: share within one and two of the standard deviations given.
 
 ## How it was made
 

@@ -30,7 +30,7 @@ MOMENTS: Final = 2
 STRATEGIES: Final = ("target_phase", "speed_window")
 """The first one is also that which the gearbox learns by and goes on by."""
 HELD_OUT: Final = 3
-"""One of so many gearboxes."""
+"""One gearbox of this number."""
 TRAIN, TEST = "train", "test"
 AHEAD_US: Final = 45_000
 """From the end of what is known to the contact."""

@@ -68,7 +68,7 @@ def _unfit(row: ShiftRow | None) -> str | None:
 def _shifts(gearbox: Gearbox) -> Iterator[Recorded | _Refused]:
     settle()
     sheet = load_sheet(SHEET)
-    drawn = _draw(gearbox, sheet)
+    drawn = draw_of(gearbox, sheet)
     frames: list[tuple[int, Frame]] = []
     bench = ClosedLoop(sheet, SETTINGS, Preset.TRUCK, drawn, log=frames)
     for _ in range(gearbox.learned):
@@ -90,7 +90,8 @@ def _shifts(gearbox: Gearbox) -> Iterator[Recorded | _Refused]:
                 )
 
 
-def _draw(gearbox: Gearbox, sheet: GearboxSheet) -> Draw:
+def draw_of(gearbox: Gearbox, sheet: GearboxSheet) -> Draw:
+    """What the gearbox's seed draws."""
     pairs, shifts = PAIRS[gearbox.kind], gearbox.learned + MOMENTS
     return draw(gearbox.seed, sheet, Preset.TRUCK, pairs, shifts, {}, Profile(PROFILE))
 

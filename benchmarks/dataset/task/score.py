@@ -11,7 +11,7 @@ the same a pitch further on. Printed are, over all shifts and for each kind and 
     rms_deg         root of the mean square error, in degrees
     mean_deg        mean error, in degrees
     in_half_gap     share of errors of at most half a gap: a sleeve fired by it would meet the gap
-    in_1_sd, in_2_sd  share of errors within so many of the standard deviations given (0.683 and
+    in_1_sd, in_2_sd  share of errors within one and two of the standard deviations given (0.683 and
                     0.954 where these are right and the errors normal); empty where none is given
 
 Exit codes: 0 scored; 1 scored, and rms_deg over all shifts exceeds --most-rms; 2 a file or an
@@ -104,8 +104,9 @@ def numbers(path: Path, table: pa.Table, name: str, *, may_lack: bool) -> np.nda
         allowed = "a number above 0, or nothing" if may_lack else "a finite number"
         shift = table["shift"][row].as_py()
         found = table[name][row].as_py()
-        raise InputError(f"{path}: {name} of shift {shift!r}: {found}, allowed is {allowed}")
-    return values
+        what = "no number" if found is None else found
+        raise InputError(f"{path}: {name} of shift {shift!r}: {what}, allowed is {allowed}")
+    return np.asarray(values)
 
 
 def named(shifts: Sequence[str]) -> str:
@@ -169,8 +170,8 @@ def score(predictions: Path, truth: Path, split: str) -> dict[str, dict[str, Any
     found = {"all": figures(rows, predicted)}
     for key in ("kind", "strategy"):
         for value in sorted({row[key] for row in rows}):
-            of = [row for row in rows if row[key] == value]
-            found[f"{key} {value}"] = figures(of, predicted)
+            mine = [row for row in rows if row[key] == value]
+            found[f"{key} {value}"] = figures(mine, predicted)
     return found
 
 

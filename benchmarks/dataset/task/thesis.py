@@ -84,7 +84,7 @@ class Filter:
 def switches_of(shift: Shift, delay_us: float) -> list[tuple[float, float]]:
     """When the brake's pressure begins to follow its valve, and whether that is on from then: as
     commanded by the cutoff. A later command takes the place of what was planned."""
-    commands, found = shift.tables["commands"], []
+    commands, found = shift.tables["commands"], list[tuple[float, float]]()
     for number in np.flatnonzero(commands["valve"] == "brake"):
         arrival_us, action = commands["arrival_us"][number], commands["action"][number]
         is_planned = action in ("off_at", "on_at")
