@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,6 +62,7 @@ the set. Split `{split}`:
 
 `rms_deg`: root of the mean square error. `in_half_gap`: share of errors of at most {half_gap:g}
 deg. `in_1_sd`, `in_2_sd`: share within one and two of the standard deviations given.
+Predictions by lot would have {lot_rms:.3f} deg and {lot_share:g}.
 
 ## How it was made
 
@@ -125,10 +127,12 @@ def write_sheet(
     """README.md of a set of which all else is written."""
     sheet = load_sheet(SHEET)
     of = provenance(sheet, plan.seed, Preset.TRUCK.value, Profile(PROFILE))
+    pitch_deg, half_gap_deg = (shifts[0].shift[name] for name in ("pitch_deg", "half_gap_deg"))
     facts: dict[str, Any] = {
         "shifts": len(shifts), "held_out": HELD_OUT, "split": judged(shifts),
         "table": score_table(scores), "arguments": plan.arguments,
-        "half_gap": shifts[0].shift["half_gap_deg"], "profile": PROFILE, "sheet": SHEET,
+        "half_gap": half_gap_deg, "lot_rms": pitch_deg / math.sqrt(12.0),
+        "lot_share": 2.0 * half_gap_deg / pitch_deg, "profile": PROFILE, "sheet": SHEET,
         "learned": plan.learned, "moments": MOMENTS, "seed": plan.seed, "left": _left(left),
         "version": of["version"], "sheet_hash": of["gearbox_sha256"][:12],
         "dbc_hash": of["dbc_sha256"][:12],

@@ -31,6 +31,8 @@ PLAN = Plan(upshifts=2, downshifts=2, learned=2)
 ARGUMENTS = ["--upshifts", "2", "--downshifts", "2", "--learn", "2"]
 CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
 SAME_RAD = 1e-9
+MOST_OFF_DEG = 0.75
+"""Half a gap."""
 WRAP_US = 2**32
 """Of the sensor clock; one gearbox here begins just before it."""
 
@@ -136,6 +138,30 @@ def test_an_mf4_file_has_what_parquet_has_and_no_date(made) -> None:
     assert found.samples.tolist() == [row["index"] for row in edges]
     assert np.allclose(found.timestamps * 1e6, [row["time_us"] for row in edges], atol=0.01)
     assert slip.unit == "rpm"
+
+
+def test_edges_and_reference_make_the_true_phase(made, thesis) -> None:
+    """What is given to compute a phase by is right to within the teeth's and reference's errors."""
+    shifts, gearbox = sys.modules["known"].read_shifts(made)
+    edges = pq.read_table(made / "later/edges.parquet").to_pylist()
+    for shift in shifts:
+        angles = []
+        for shaft in ("layshaft", "main"):
+            kind = (shift.row["shift"], shaft, "rise")
+            later = [e for e in edges if (e["shift"], e["shaft"], e["edge"]) == kind]
+            times, index = shift.edges(shaft)
+            times = np.concatenate((times, [each["time_us"] for each in later]))
+            index = np.concatenate((index, [each["index"] for each in later]))
+            number = np.interp(shift.contact_us, times, index)
+            angles.append(number * 360.0 / gearbox["wheel_teeth"][shaft])
+        true = _contact(made, shift.row["shift"])["phase_deg"]
+        pitch = shift.row["pitch_deg"]
+        off = shift.phase_deg(*angles) - true
+        assert abs(off - pitch * round(off / pitch)) < MOST_OFF_DEG
+
+
+def _contact(folder, shift) -> dict:
+    return next(row for row in rows_of(folder / "truth/contacts.parquet") if row["shift"] == shift)
 
 
 @pytest.fixture(scope="module")
