@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dist sbom release publish docs-version dbc check long devices study swarm envelope faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dist sbom release publish docs-version dbc check long devices study swarm envelope dataset faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -149,6 +149,12 @@ study: $(VENV)/test.stamp
 # ARGS: see python -m benchmarks.envelope -h
 envelope: kernels
 	$(BIN)/python -m benchmarks.envelope --resume --markdown docs/envelope.md $(ARGS)
+
+# A small open data set of simulated shifts with a task on it (docs/dataset.md), made anew in
+# out/dataset. ARGS: see python -m benchmarks.dataset -h
+dataset: kernels
+	rm -rf out/dataset
+	$(BIN)/python -m benchmarks.dataset --out out/dataset $(ARGS)
 
 # Worlds in which anything may fail, for so many seconds; says how many hours were simulated.
 SWARM_WALL_S ?= 60
