@@ -75,9 +75,9 @@ def calibration_page() -> str:
     ]  # fmt: skip
     alike: dict[tuple[str, tuple[tuple[str, ...], ...]], list[str]] = {}
     for group in groups_of(Calibration):
-        rows = tuple((f"`{k.name}`", k.unit, k.allowed, k.meaning) for k in group.keys)
-        if rows:
-            alike.setdefault((group.meaning, rows), []).append(group.name)
+        keys = tuple((f"`{k.name}`", k.unit, k.allowed, k.meaning) for k in group.keys)
+        if keys:
+            alike.setdefault((group.meaning, keys), []).append(group.name)
     for (meaning, rows), names in alike.items():
         head = ", ".join(f"`[{name}]`" for name in names if name)
         meaning = meaning.replace("`estimate/", "`controller/estimate/")
