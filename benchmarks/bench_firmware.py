@@ -22,13 +22,13 @@ from zlib import crc32
 
 import numpy as np
 
-from meshpoint.bench.board import Firmware
 from meshpoint.bench.schedules import SCHEDULES
 from meshpoint.bench.setup import Setup
 from meshpoint.bench.simulate import simulate
 from meshpoint.campaigns.intervals import rate_interval
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.board import Firmware
 from meshpoint.gearbox import load_sheet
 from meshpoint.results.rows import ShiftRow, is_aimed
 from meshpoint.rig_sim.settings import Profile

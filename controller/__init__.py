@@ -13,8 +13,9 @@ before it:
     plan         when to release the brake and when to fire: one file for each strategy
     shift        the sequence of a shift, and its valve commands
     guard        passes a finished valve command or blocks it
-    xcp          a calibration tool's measured values and settings, where the run has them (--xcp)
     core         the step, and what is sent and logged about it
+    xcp          around the core where the run has it (--xcp): a calibration tool's measured values
+                 and settings
     run          on a bus: alone there, what is kept from run to run
 
 Others use `settings`, `core.core`, `run` and the strategies of `plan`; who else looks into a room

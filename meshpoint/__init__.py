@@ -13,6 +13,7 @@ costs next to nothing. The packages:
     meshpoint.controller   the node under test; in the repository the folder controller/
     meshpoint.rig_sim      the virtual gearbox; rig_sim/
     meshpoint.dbc          the wire contract; dbc/
+    meshpoint.firmware     the board: C sources, and what builds and runs them; firmware/
     meshpoint.gearbox      the data sheet
     meshpoint.bus          how frames travel
     meshpoint.bench        controller and rig on one bus
@@ -23,7 +24,7 @@ costs next to nothing. The packages:
                            what a run gives, and the pages drawn of it
     meshpoint.api          what `import meshpoint` gives
 
-docs/decisions/0012-one-name.md says why three of them lie beside this folder in the repository.
+docs/decisions/0012-one-name.md says why four of them lie beside this folder in the repository.
 """
 
 import os

@@ -27,8 +27,6 @@ PLACEHOLDER = re.compile(r"\bOWNER(?=/meshpoint|\.github\.io)")
 """In addresses, as long as the owner is not known."""
 MEANT = ("tests/", "tools/release.py")
 """Where the placeholder itself is spoken of."""
-PACKAGE = (*PRODUCT, "firmware")
-"""Folders whose files an installation has."""
 WITH_SOURCES = ("LICENSE", "README.md", "pyproject.toml", "setup.py", "constraints.txt", "Makefile")
 NEVER = {".git", ".venv", "out", "build", "__pycache__", ".pytest_cache", ".hypothesis"}
 MOST_BYTES = {".whl": 6_000_000, ".gz": 6_000_000}
@@ -110,7 +108,7 @@ def members(archive: Path) -> set[PurePosixPath]:
 def wrong_with(archive: Path, tracked: Iterable[str]) -> Iterator[str]:
     """What is missing in a source archive or a wheel, what does not belong there, what is large."""
     held, of_package = members(archive), {PurePosixPath(name) for name in tracked}
-    of_package = {path for path in of_package if path.parts[0] in PACKAGE}
+    of_package = {path for path in of_package if path.parts[0] in PRODUCT}
     if archive.suffix == ".whl":
         beside = of_package - {path for path in of_package if path.parts[0] == "meshpoint"}
         wanted = of_package - beside | {PurePosixPath("meshpoint", path) for path in beside}

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("controller", "rig_sim", "dbc", "meshpoint")
+PACKAGES = ("controller", "rig_sim", "dbc", "firmware", "meshpoint")
 BENCH = "meshpoint"
 WITH_ROOMS = ("controller", "rig_sim", BENCH)
 NO_ROOMS = ("api", "bus", "gearbox", "kernels")

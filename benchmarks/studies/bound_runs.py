@@ -27,6 +27,7 @@ from benchmarks.studies.bound_scene import (
     draw_run,
     draw_wheel,
 )
+from benchmarks.studies.thesis_predictions import predict_linear
 from meshpoint.controller.estimate.baselines import BaselineTracker
 from meshpoint.controller.estimate.brake_model import BrakeModel, uncorrelated
 from meshpoint.controller.estimate.crossing_filter import NO_PRESSURES
@@ -47,7 +48,7 @@ from meshpoint.controller.models.layshaft import (
     free_motion,
     predict,
 )
-from meshpoint.controller.models.thesis import layshaft_model, predict_linear
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import GearboxSheet, Split

@@ -26,13 +26,9 @@ from benchmarks.studies.record import (
     rms,
 )
 from benchmarks.studies.simulated import SimulatedShift, simulate_shift
+from benchmarks.studies.thesis_predictions import predict_euler, predict_hold, predict_linear
 from meshpoint.controller.models.layshaft import LayshaftState
-from meshpoint.controller.models.thesis import (
-    layshaft_model,
-    predict_euler,
-    predict_hold,
-    predict_linear,
-)
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector

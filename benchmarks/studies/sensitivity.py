@@ -13,8 +13,9 @@ import numpy as np
 
 from benchmarks.studies.record import Given
 from benchmarks.studies.simulated import simulate_shift
+from benchmarks.studies.thesis_predictions import predict_hold
 from meshpoint.controller.models.layshaft import LayshaftState
-from meshpoint.controller.models.thesis import layshaft_model, predict_hold
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.kernels.records import Vector

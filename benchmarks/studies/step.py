@@ -22,9 +22,10 @@ from benchmarks.studies.record import (
     ThesisVerdict,
 )
 from benchmarks.studies.sensitivity import Release
+from benchmarks.studies.thesis_predictions import predict_euler
 from meshpoint.controller.models import thesis as kernels
 from meshpoint.controller.models.layshaft import LayshaftState
-from meshpoint.controller.models.thesis import layshaft_model, predict_euler
+from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.kernels.records import Vector

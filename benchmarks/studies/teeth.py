@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from benchmarks.studies.jobs import AsBuilt, linear_with_teeth
+from benchmarks.studies.trials import Trials
 from meshpoint.gearbox import GearboxSheet, MainGear
-from meshpoint.rig_sim.truck.trials import Trials
 from meshpoint.units import DEG
 
 GEAR: Final = MainGear.SECOND

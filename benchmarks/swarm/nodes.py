@@ -9,6 +9,7 @@ from benchmarks.swarm.deeds import Deed, Wish
 from meshpoint.bus.core import Step
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.core import POSITIONS, ControllerCore
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -125,8 +126,8 @@ class WatchedController(ControllerCore):
         self._step_us = now_us
         return super().step(now_us)
 
-    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
-        snapshot = super()._snapshot(now_us, engine)
+    def _snapshot(self, now_us: int, speeds: ShaftSpeeds, engine: EEC1 | None) -> StepSnapshot:
+        snapshot = super()._snapshot(now_us, speeds, engine)
         if self._deed is None or self._began_us is None or not self._deed.clock_error_us:
             return snapshot
         error_us = self._deed.clock_error_us
@@ -140,6 +141,7 @@ class WatchedController(ControllerCore):
             return
         sequence = self._sequence
         sequence.finished = sequence.decision = None
+        sequence.sense_sleeves(snapshot)  # by whose reads what the guard blocks is counted
         wish: Wish = self._deed.wish(self._step_us - self._began_us, self._seed)
         sequence.clutch = wish.clutch
         sequence.engine_rad_s = None if wish.engine_rpm is None else wish.engine_rpm * RPM

@@ -10,7 +10,6 @@ identifier, so the order in which different senders got onto the bus changes not
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Collection
 from dataclasses import replace
@@ -18,24 +17,22 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Learned, ReplayEstimator, collect, restore
+from meshpoint.controller.core.carry_over import Learned, collect, restore
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.clock import ClockProbe, RefusedLead, StepTiming
-from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeedMeter, ShaftSpeeds, StepInputs
 from meshpoint.controller.models.layshaft import BrakeInput
-from meshpoint.controller.settings.header import RunHeader, XcpAccess
+from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
-from meshpoint.controller.settings.strategy_file import StrategyError
 from meshpoint.controller.settings.valve_name import driven_or_pending
 from meshpoint.controller.shift.context import PredictorSource, ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.xcp.memory import SLEEVES, StepFacts
-from meshpoint.controller.xcp.node import XcpNode
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (
     XCP_COMMAND_ID,
@@ -110,15 +107,12 @@ class ControllerCore:
         self._timing = StepTiming(settings.timing.tick_us)
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
-            sheet, settings, self._board, brake, self._observer.references, header.armed
+            sheet, settings, self._board, self._observer.references, header.armed
         )
-        self._speeds = ShaftSpeeds(sheet)
+        self._speed_meter = ShaftSpeedMeter(sheet)
         self._guarded = GuardedCommands(header, self._transmitter, self._sequence)
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
-        self._xcp: XcpNode | None = None
-        if header.xcp is not XcpAccess.OFF:
-            self._xcp = XcpNode(header.version, settings, header.xcp)
         self._due_us: int | None = None
         self._wake_us: int | None = None
         self.snapshot: StepSnapshot | None = None
@@ -127,6 +121,8 @@ class ControllerCore:
         """How many shifts have ended since the start."""
         self.strategy_errors: dict[str, int] = {}
         """What was wrong with a user's strategy, and how many shifts ended of it."""
+        self.xcp_commands: list[Frame] = []
+        """What an XCP master has sent and the newest step has consumed; read-only."""
         if header.calibration is not None:
             restore(header.calibration, self._observer, self._sequence.sleeves)
 
@@ -154,33 +150,51 @@ class ControllerCore:
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; written: date and time as text for the
         file."""
-        return collect(self._learned, self._sequence.sleeves, written)
+        return collect(self.learned, self._sequence.sleeves, written)
 
     @property
-    def _learned(self) -> Learned:
+    def learned(self) -> Learned:
+        """What has been learned by now; each figure is worked out where it is asked for."""
         return Learned(self.header, self._observer, self._sequence, self.shifts)
 
+    @property
+    def blocked_row(self) -> int | None:
+        """The guard's row that blocked the newest step's valve command; None: none did."""
+        return self._guarded.guard.blocked_row
+
     def change_settings(self, settings: ControllerSettings) -> None:
-        """Other engagement settings from the next step on; what was learned stays. Call it between
-        shifts; the estimators keep the settings they were built with. The run hash changes."""
+        """As `tune`, for a run of its own: the run hash changes."""
         self.header = replace(self.header, settings=settings)
+        self.tune(settings)
+        self._reporter.change_header(self.header)
+
+    def tune(self, settings: ControllerSettings) -> None:
+        """Other engagement settings from the next step on; what was learned stays. Call it between
+        shifts; the estimators keep the settings they were built with. StrategyError where a user's
+        own strategy cannot be made from them: the one before goes on."""
         self._settings = settings
         self._sequence.change_settings(settings)
-        self._reporter.change_header(self.header)
 
     def note_external_engagement(self, gear: MainGear) -> None:
         """This gear was engaged, but not by this controller: its reference is learned from how
         its tooth moves alone. For replays of another controller's log."""
         self._observer.references.locked(gear, 0.0)
 
-    def adopt_estimator(self, follower: ReplayEstimator) -> None:
-        """Goes on with a follower's estimates, data sheet and settings: it is this controller's
-        from here on. The guard stays the one of the own data sheet."""
-        self.header, sequence = follower.header, self._sequence
-        self._settings, self._speeds = follower.header.settings, follower.speeds
-        self._observer = follower.observer
-        sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
-        sequence.brake, sequence.sleeves = follower.brake, follower.sleeves
+    def adopt_estimator(
+        self,
+        header: RunHeader,
+        observer: Observer,
+        *,
+        speed_meter: ShaftSpeedMeter,
+        sleeves: Sleeves,
+    ) -> None:
+        """Goes on with these estimates and the header's data sheet and settings: they are this
+        controller's from here on. The guard stays the one of the own data sheet. For replays."""
+        self.header, self._settings = header, header.settings
+        self._observer, self._speed_meter = observer, speed_meter
+        sequence = self._sequence
+        sequence.sheet, sequence.references = header.sheet, observer.references
+        sequence.sleeves = sleeves
         sequence.change_settings(self._settings)
         self._reporter = Reporter(self.header, self._observer, sequence)
 
@@ -219,19 +233,21 @@ class ControllerCore:
             [UNARMED] if self._due_us is None and not self._guarded.guard.is_armed else []
         )
         if self.snapshot is not None and self._is_for_an_end(now_us):
-            consumed, self._heard = NOTHING, []
+            consumed, self._heard, self.xcp_commands = NOTHING, [], []
             snapshot = self.snapshot = self._later(self.snapshot, now_us)
         else:
             snapshot, consumed = self._take_and_decide(now_us, events)
         frames = self._commands(now_us, snapshot, events)
+        sequence = self._sequence
+        self._observer.take_commands(sequence.brake, sequence.take_mesh_changes())
+        if snapshot.takes_in:
+            self._observer.learn(events)
         frames += self._reporter.frames(self._transmitter, snapshot)
         blocks = self._guarded.blocks
         status = self._reporter.status(
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, blocks
         )
         frames.append(self._transmitter.encode(status))
-        if self._xcp is not None:
-            frames += self._answer(self._xcp, frames, snapshot, events)
         # In order of bus priority; the status frame comes last and completes the step.
         frames.sort(key=_identifier)
         self._plan_next_step(now_us, snapshot.now_us)
@@ -260,14 +276,13 @@ class ControllerCore:
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
-        self._speeds.take(inputs, self._observer.clock.now_us(now_us))
+        speeds = self._speed_meter.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None
-        snapshot = self._snapshot(now_us, newest_engine)
+        snapshot = self._snapshot(now_us, speeds, newest_engine)
         take = self._timing.take if self._is_tick(now_us) else self._timing.between
         take(inputs, snapshot.now_us)
         self.snapshot = snapshot
         self._decide(inputs.requested_gear, snapshot, events)
-        self._observer.learn(events)
         return snapshot, consumed
 
     def shutdown(self, now_us: int) -> Step:
@@ -291,6 +306,7 @@ class ControllerCore:
         inputs = StepInputs()
         consumed: list[bytes] = []
         self._heard = heard = []
+        self.xcp_commands = xcp_commands = []
         inbox, self._inbox = sorted(self._inbox, key=_identifier), []
         receive = self._receiver.receive
         for frame in inbox:
@@ -299,8 +315,7 @@ class ControllerCore:
                 continue
             if can_id == XCP_COMMAND_ID:
                 consumed += (can_id.to_bytes(4, "little"), frame[1])
-                if self._xcp is not None:
-                    self._xcp.receive(frame)
+                xcp_commands.append(frame)
                 continue
             heard.append(frame)
             verdict, message = receive(frame)
@@ -313,7 +328,7 @@ class ControllerCore:
             self._dropped = 0
         return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
 
-    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
+    def _snapshot(self, now_us: int, speeds: ShaftSpeeds, engine: EEC1 | None) -> StepSnapshot:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
         torque = torque_share(None, None)
@@ -326,8 +341,8 @@ class ControllerCore:
             observer.view,
             observer.layshaft,
             observer.main_at(sensor_us),
-            self._speeds,
-            self._lost(sensor_us),
+            speeds,
+            self._lost(sensor_us, speeds),
             driven_or_pending(observer.valves),
             observer.view.supply_pa,
             None if engine is None else engine.engine_speed_rad_s,
@@ -335,6 +350,7 @@ class ControllerCore:
             is_self_tested=self._guarded.guard.is_proven,
             more_lead_us=self._refused.more_us,
             loaded=observer.loaded,
+            brake_delays_us=observer.brake_delays_us,
         )
 
     @property
@@ -344,7 +360,7 @@ class ControllerCore:
         lead_us = self._settings.timing.lead_us + self._refused.more_us
         return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
 
-    def _lost(self, sensor_us: int) -> FaultCode:
+    def _lost(self, sensor_us: int, speeds: ShaftSpeeds) -> FaultCode:
         """The most serious fault among inputs that a shift needs and that are missing or
         contradicted; NONE if all are there."""
         receiver, view = self._receiver, self._observer.view
@@ -355,15 +371,15 @@ class ControllerCore:
             return FaultCode.POSITION_STALE
         if in_doubt := self._guarded.in_doubt:
             return WHEEL_FAULTS[in_doubt[0]] if len(in_doubt) == 1 else FaultCode.WHEELS_DISAGREE
-        if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted():
+        if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted(speeds):
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
 
-    def _turns_as_wanted(self) -> bool:
+    def _turns_as_wanted(self, speeds: ShaftSpeeds) -> bool:
         """Whether the speeds are known that a shift needs. In neutral, a splitter that stands
         between its steps leaves the layshaft to itself, and it stops: to bring the step in, no
         speed of it is needed; the propeller's says how fast the new gear would be."""
-        speeds, view, tracker = self._speeds, self._observer.view, self._observer.layshaft
+        view, tracker = self._observer.view, self._observer.layshaft
         if view.main_gear is MainGear.NEUTRAL and None in (view.split, view.range_):
             return speeds.propeller is not None
         if tracker.free and not tracker.latest().is_finite:
@@ -401,30 +417,6 @@ class ControllerCore:
     def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
         valves = self._board.message(snapshot.now_us + self._ahead_us)
         return self._guarded.frames(valves, self._heard, now_us, snapshot, events)
-
-    def _answer(
-        self, xcp: XcpNode, frames: list[Frame], snapshot: StepSnapshot, events: list[str]
-    ) -> list[Frame]:
-        """What an XCP master gets after this step. Settings that it has changed are used from the
-        next step on, unless a shift runs: then once it has ended."""
-        sequence, tracks = self._sequence, snapshot.view.tracks
-        facts = StepFacts(
-            tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
-            self._guarded.guard.blocked_row or 0,
-            lambda: self._learned,
-        )
-        ended = sequence.finished is not None
-        answers, lines = xcp.step(frames, facts, snapshot.now_us, shift_ended=ended)
-        events += lines
-        change = xcp.take_change() if sequence.shift is None else None
-        if change is not None:
-            self._settings, words = change
-            events.append(f"XCP: {words}")
-            try:
-                sequence.change_settings(self._settings)
-            except StrategyError as error:  # a user's own, made anew from the settings
-                events.append(f"own strategy: {error}")
-        return answers
 
     def _is_tick(self, now_us: int) -> bool:
         """Whether a step is a tick's, and not one between for the clock or for a valve."""

@@ -11,7 +11,7 @@ from meshpoint.controller.estimate.layshaft_tracker import (
 )
 from meshpoint.controller.estimate.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimate.main_tracker import DrivelineSpec, MainTracker
-from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import MeshChange, PhaseReferences
 from meshpoint.controller.estimate.reference_recovery import LockedGear, ReferenceRecovery
 from meshpoint.controller.measure.clock import JUMP_US, SensorClockEstimate
 from meshpoint.controller.measure.gearbox_view import (
@@ -377,6 +377,19 @@ class Observer:
         """The layshaft at a sensor time."""
         state = self.layshaft.at(time_us)
         return state if state is not None and state.is_finite else None
+
+    @property
+    def brake_delays_us(self) -> tuple[int, int]:
+        """From the brake valve's switch off, and on, to the pressure's first reaction, as
+        learned."""
+        return self._brake_input.off_delay_us, self._brake_input.on_delay_us
+
+    def take_commands(self, brake: BrakeInput, changes: list[MeshChange]) -> None:
+        """What a step has commanded of the brake's valve, and which gear comes into mesh or leaves
+        it."""
+        self._brake_input.follow(brake)
+        for change in changes:
+            self.references.take(change)
 
     def learn(self, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""

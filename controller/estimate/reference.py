@@ -262,6 +262,18 @@ class GapPosterior:
         return float((self._measurements * outside**2).sum() / self._measurements.sum())
 
 
+class MeshChange(NamedTuple):
+    """A gear has locked, or leaves the mesh: as the shift's sequence knows it."""
+
+    gear: MainGear | None
+    """None: the gear that was in mesh is being pulled."""
+    slip_rad_s: float = 0.0
+    """At which its tooth met a flank; 0 where that is not known."""
+
+
+RELEASED: Final = MeshChange(None)
+
+
 @dataclass
 class Watched:
     """A gear that has locked and is watched."""
@@ -312,6 +324,13 @@ class PhaseReferences:
         KeyError while the reference is unknown."""
         ratio = self._sheet.main_mesh(gear).ratio
         return raw_phase_rad(ratio, theta_layshaft, theta_main) - self._offset_rad[gear]
+
+    def take(self, change: MeshChange) -> None:
+        """What has come into mesh or leaves it."""
+        if change.gear is None:
+            self.released()
+        else:
+            self.locked(change.gear, change.slip_rad_s)
 
     def locked(self, gear: MainGear, slip_rad_s: float) -> None:
         """The gear has just locked after its tooth met a flank at this slip, 0 if that is not

@@ -320,13 +320,36 @@ class EdgeSpeed:
         return self._speed if is_turning and is_measured else None
 
 
-class ShaftSpeeds:
-    """Speeds of the four shafts from their newest frames, rad/s."""
+class ShaftSpeeds(NamedTuple):
+    """Speeds of the four shafts (rad/s) as measured at one step; None: stale or invalid."""
+
+    sheet: GearboxSheet
+    input_: float | None
+    layshaft: float | None
+    main: float | None
+    propeller: float | None
+
+    def slip_rad_s(self, gear: MainGear) -> float | None:
+        """Slip of a gear."""
+        if self.layshaft is None or self.main is None:
+            return None
+        return self.sheet.main_mesh(gear).ratio * self.layshaft - self.main
+
+    def split_turns_together(self, split: Split) -> bool:
+        """Whether input shaft and layshaft have the ratio of this step."""
+        return _together(self.input_, self.layshaft, self.sheet.split_mesh(split).ratio)
+
+    def range_turns_together(self, range_: Range) -> bool:
+        """Whether main and propeller shaft have the ratio of this step."""
+        return _together(self.main, self.propeller, self.sheet.range_mesh(range_).ratio)
+
+
+class ShaftSpeedMeter:
+    """Measures the speeds of the four shafts from their newest frames."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
         wheels = sheet.wheels
-        self._now_us = 0
         self._shafts: dict[type, EdgeSpeed] = {
             EdgesInputRise: EdgeSpeed(wheels.input_.teeth),
             EdgesLayshaftRise: EdgeSpeed(wheels.layshaft.teeth),
@@ -334,48 +357,15 @@ class ShaftSpeeds:
             EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
         }
 
-    def take(self, inputs: StepInputs, now_us: int) -> None:
-        """One step's frames at a sensor time."""
-        self._now_us = now_us
+    def take(self, inputs: StepInputs, now_us: int) -> ShaftSpeeds:
+        """One step's frames at a sensor time, and the speeds then."""
         for kind, shaft in self._shafts.items():
             for frame in inputs.edges[kind]:
                 shaft.take(frame, now_us)
-
-    def _of(self, kind: type) -> float | None:
-        speed = self._shafts[kind].at(self._now_us)
-        return None if speed is None else speed.omega_rad_s
-
-    @property
-    def layshaft(self) -> float | None:
-        """Layshaft speed (rad/s); None if it is stale or invalid, as for the other shafts."""
-        return self._of(EdgesLayshaftRise)
-
-    @property
-    def main(self) -> float | None:
-        """Main shaft speed."""
-        return self._of(EdgesMainRise)
-
-    @property
-    def propeller(self) -> float | None:
-        """Propeller shaft speed."""
-        return self._of(EdgesPropellerRise)
-
-    def slip_rad_s(self, gear: MainGear) -> float | None:
-        """Slip of a gear."""
-        layshaft, main = self.layshaft, self.main
-        if layshaft is None or main is None:
-            return None
-        return self._sheet.main_mesh(gear).ratio * layshaft - main
-
-    def split_turns_together(self, split: Split) -> bool:
-        """Whether input shaft and layshaft have the ratio of this step."""
-        return _together(
-            self._of(EdgesInputRise), self.layshaft, self._sheet.split_mesh(split).ratio
+        speeds = (shaft.at(now_us) for shaft in self._shafts.values())
+        return ShaftSpeeds(
+            self._sheet, *[None if speed is None else speed.omega_rad_s for speed in speeds]
         )
-
-    def range_turns_together(self, range_: Range) -> bool:
-        """Whether main and propeller shaft have the ratio of this step."""
-        return _together(self.main, self.propeller, self._sheet.range_mesh(range_).ratio)
 
 
 def _together(driving: float | None, driven: float | None, ratio: float) -> bool:

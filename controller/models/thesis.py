@@ -1,4 +1,4 @@
-"""The thesis's layshaft, filter and predictions, each one function for live, replay and studies.
+"""The thesis's layshaft and filter, each one function for live, replay and studies.
 
 The model is the state space of thesis 4.15 with x = [theta_LS, omega_LS, p_valve - p_0]:
 
@@ -10,10 +10,8 @@ form, with phi_x = (1 - e^(-x D))/x, h = (e^(-aD) - e^(-bD))/(b - a), H = (phi_a
     Phi   = [[1, phi_a, -g H], [0, e^(-aD), -g h], [0, 0, e^(-bD)]]
     Gamma = [-g((D - phi_a)/a - H), -g(phi_a - h), 1 - e^(-bD)] K
 
-Three ways to predict layshaft and phase over the actuator delay (5.4), as functions of one state:
-linear (5.12), Euler (5.15) and zero-order hold (5.17). The node uses the hold over the known future
-brake commands; it is exact for the model, not only at sampling points, because every switch of the
-input is a step of its own.
+The hold over the known future brake commands is exact for the model, not only at sampling points,
+because every switch of the input is a step of its own.
 
 Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python. State is updated in
 place, because boxing a returned tuple costs more than a whole batch of edges.
@@ -24,9 +22,6 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final
 
-import numpy as np
-
-from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.kernels.jit import compiled, inlined, new_record, record_on
 from meshpoint.kernels.records import Over, Vector, filled, layout_of
@@ -251,40 +246,4 @@ def layshaft_model(sheet: GearboxSheet, split: Split) -> Vector:
         brake_per_s=1.0 / sheet.brake.time_constant_s,
         brake_rad_s2_pa=sheet.brake_nm_per_pa / inertia,
         supply_pa=sheet.air.supply_gauge_pa,
-    )
-
-
-def predict_hold(
-    state: LayshaftState, to_us: float, switches: Vector, model: Vector
-) -> LayshaftState:
-    """Zero-order hold through every brake switch (5.16-5.18)."""
-    x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
-    propagate(x, float(state.time_us), float(to_us), switches, model)
-    theta, omega, pressure = x.tolist()
-    return LayshaftState(to_us, theta, omega, pressure, *state[4:7])
-
-
-def predict_linear(state: LayshaftState, to_us: float) -> LayshaftState:
-    """Constant speed over the horizon (5.12)."""
-    theta = state.theta_rad + state.omega_rad_s * (to_us - state.time_us) * US
-    return state._replace(time_us=to_us, theta_rad=theta)
-
-
-def predict_euler(
-    state: LayshaftState, to_us: float, u: float, model: Vector, step_s: float
-) -> LayshaftState:
-    """Euler steps of `step_s` with the input held at `u` (5.13-5.15)."""
-    a, b, g, k = model
-    theta, omega, pressure = state.theta_rad, state.omega_rad_s, state.pressure_pa
-    left_s = (to_us - state.time_us) * US
-    while left_s > 1e-12:
-        h = min(step_s, left_s)
-        theta, omega, pressure = (
-            theta + h * omega,
-            omega + h * (-a * omega - g * pressure),
-            pressure + h * b * (k * u - pressure),
-        )
-        left_s -= h
-    return state._replace(
-        time_us=to_us, theta_rad=theta, omega_rad_s=float(omega), pressure_pa=float(pressure)
     )

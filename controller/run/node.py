@@ -207,6 +207,7 @@ async def run_controller(
     on_event: Callable[[str], None],
     stop: asyncio.Event,
     keep: Keep | None = None,
+    around: Callable[[Core, ControllerCore], Core] | None = None,
     keys: CommandKeys | None = None,
     diagnosis: bool = False,
     record: Path | None = None,
@@ -216,12 +217,13 @@ async def run_controller(
     """Runs a controller until `stop` is set; its last frames switch all valves off.
     OtherControllerError where there is another one on the bus.
 
-    `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
-    proven to be ours. With `diagnosis` it claims its address, reports its trouble codes and answers
-    testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
-    to know of link outages, and of every step where `wire` is classic; what of it cannot be written
-    is said and counted. `wire`: the frames on the bus. `address`: the controller's on this bus,
-    which `open_bus` has put in the DBC's place."""
+    `keep` gets the calibration whenever more is known, and at the end. `around` puts something
+    around the node of this core, as the XCP slave. With `keys` commands are proven to be ours. With
+    `diagnosis` it claims its address, reports its trouble codes and answers testers
+    (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs to know
+    of link outages, and of every step where `wire` is classic; what of it cannot be written is said
+    and counted. `wire`: the frames on the bus. `address`: the controller's on this bus, which
+    `open_bus` has put in the DBC's place."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
@@ -229,7 +231,9 @@ async def run_controller(
     records = None if record is None else Records(record)
     if records is not None and wire is WireProfile.FD:
         kept = OutageRecord(kept, records, header.run_hash, lambda: statistics.frames_discarded)
-    node = kept if keys is None else proven(kept, keys)
+    node = kept if around is None else around(kept, core)
+    if keys is not None:
+        node = proven(node, keys)
     if diagnosis:
         node = diagnosed(node, header.version, address)
     if wire is WireProfile.CLASSIC:

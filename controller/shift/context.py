@@ -14,7 +14,7 @@ from dataclasses import replace
 from operator import itemgetter
 from typing import Final, NamedTuple
 
-from meshpoint.controller.estimate.reference import PhaseReferences
+from meshpoint.controller.estimate.reference import MeshChange, PhaseReferences
 from meshpoint.controller.estimate.wheel_tracker import ESTIMATE_STALE_US
 from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.plan.gear_predictor import GearPredictor
@@ -184,7 +184,6 @@ class ShiftContext:
         sheet: GearboxSheet,
         settings: ControllerSettings,
         board: ValveBoard,
-        brake: BrakeInput,
         references: PhaseReferences,
         armed: bool = True,
     ) -> None:
@@ -194,8 +193,12 @@ class ShiftContext:
         self.sheet = sheet
         self.settings = settings
         self.board = board
-        self.brake = brake
+        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
+        """The brake valve's switches, as commanded; its delays are the estimate's."""
         self.references = references
+        """Read here, never written."""
+        self.mesh_changes: list[MeshChange] = []
+        """Gears that have locked or leave the mesh; for `take_mesh_changes`."""
         self.strategist = Strategist(sheet, settings)
         self.sleeves = Sleeves(sheet)
         self.state = State.STARTING
@@ -333,6 +336,11 @@ class ShiftContext:
     def notify_actuators(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""
         self.board.publish_to(self.sleeves, now_us)
+
+    def take_mesh_changes(self) -> list[MeshChange]:
+        """Which gears have locked or leave the mesh, since the last call."""
+        changes, self.mesh_changes = self.mesh_changes, []
+        return changes
 
     def all_off(self, now_us: int) -> None:
         """Switches all valves off now, and enters the brake's release in the filter's input."""

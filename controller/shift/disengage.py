@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from meshpoint.controller.estimate.reference import RELEASED
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
@@ -139,7 +140,7 @@ def _may_pull(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> 
     if not (_rests_after_pull(context, snapshot) and context.sleeves.rests(gear)):
         return False
     context.running.pulls += 1
-    context.references.released()
+    context.mesh_changes.append(RELEASED)
     return True
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from meshpoint.controller.estimate.reference import MeshChange
 from meshpoint.controller.measure.gearbox_view import ENGAGED_SHORT_M, ENTERED_M
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.settings.settings import MS_IN_US
@@ -278,7 +279,7 @@ def in_mesh(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
     seen_us = snapshot.view.engaged_us(side.sleeve, side.direction)
     straight = _went_straight(context, seen_us)
     struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
-    context.references.locked(gear, _flank_slip_rad_s(context, struck_us))
+    context.mesh_changes.append(MeshChange(gear, _flank_slip_rad_s(context, struck_us)))
     context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE, seen_us)
     return Trigger.ENGAGED
 

@@ -178,6 +178,8 @@ class ShiftSequence(ShiftContext):
     def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
+        if snapshot.brake_delays_us is not None:
+            self.brake.set_delays(*snapshot.brake_delays_us)
         self.sense_sleeves(snapshot)
         if not self._rests(snapshot):
             # Forgotten once over: a sensor clock that restarts may come by that time again.

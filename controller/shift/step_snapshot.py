@@ -84,6 +84,9 @@ class StepSnapshot:
     """Whether the guard's self-test is passed: before that it lets no valve be driven."""
     more_lead_us: int = 0
     """By how much more than set an activation is sent ahead, since one was refused."""
+    brake_delays_us: tuple[int, int] | None = None
+    """From the brake valve's switch off, and on, to the pressure's first reaction, as learned;
+    None: as before."""
     takes_in: bool = True
     """Whether frames were taken in and a decision was made: not by a step between ticks that sends
     the end of a valve's pulse."""

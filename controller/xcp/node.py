@@ -1,15 +1,26 @@
-"""The XCP slave in the controller's step: commands that the step has consumed, in; answers and DAQ
-packets out."""
+"""The XCP slave around the controller's core: commands that a step has consumed, in; answers and
+DAQ packets out. None of the step's own frames is changed."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
+from operator import itemgetter
 from typing import Final
 
+from meshpoint.bus.core import AroundCore, Core, Step
+from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.memory import CalibrationPages, Memory, StepFacts, changes_in_words
+from meshpoint.controller.settings.strategy_file import StrategyError
+from meshpoint.controller.xcp.memory import (
+    SLEEVES,
+    CalibrationPages,
+    Memory,
+    StepFacts,
+    changes_in_words,
+)
 from meshpoint.controller.xcp.protocol import FD_LENGTHS, Event
 from meshpoint.controller.xcp.slave import XcpSlave
 from meshpoint.dbc.frame import Frame
@@ -20,7 +31,7 @@ MOST_COMMANDS: Final = 64
 
 
 class XcpNode:
-    """What the controller's core has of XCP."""
+    """The slave without a core: from what a step sends and knows to a master's frames."""
 
     def __init__(self, version: str, settings: ControllerSettings, access: XcpAccess) -> None:
         self._pages = CalibrationPages(settings)
@@ -67,6 +78,51 @@ class XcpNode:
             lines.append(f"{self._unheard} XCP commands left: more than {MOST_COMMANDS} at once")
             self._unheard = 0
         return frames, lines
+
+
+class XcpCore(AroundCore[Core]):
+    """A controller that answers an XCP master, as its run header allows."""
+
+    def __init__(self, inside: Core, core: ControllerCore) -> None:
+        """core: the controller's; inside: the same, or what stands around it."""
+        super().__init__(inside)
+        self._controller = core
+        header = core.header
+        self._node = XcpNode(header.version, header.settings, header.xcp)
+
+    def step(self, now_us: int) -> Step:
+        """The step inside, and what a master gets after it. Settings that it has changed are used
+        from the next step on, unless a shift runs: then once it has ended."""
+        step, core, node = self._core.step(now_us), self._controller, self._node
+        for command in core.xcp_commands:
+            node.receive(command)
+        snapshot = core.snapshot
+        if snapshot is None:
+            raise RuntimeError("a step without a snapshot")
+        tracks = snapshot.view.tracks
+        facts = StepFacts(
+            tuple(tracks[each].position_m if each in tracks else math.nan for each in SLEEVES),
+            core.blocked_row or 0,
+            lambda: core.learned,
+        )
+        ended = core.sequence.finished is not None
+        answers, lines = node.step(step.frames, facts, snapshot.now_us, shift_ended=ended)
+        if core.sequence.shift is None:
+            lines += self._tune()
+        # In order of bus priority, as the step's own: the status frame completes the step.
+        return Step(sorted([*step.frames, *answers], key=itemgetter(0)), [*step.events, *lines])
+
+    def _tune(self) -> list[str]:
+        """Hands on what a master has changed since; lines for the log."""
+        change = self._node.take_change()
+        if change is None:
+            return []
+        settings, words = change
+        try:
+            self._controller.tune(settings)
+        except StrategyError as error:  # a user's own, made anew from the settings
+            return [f"XCP: {words}", f"own strategy: {error}"]
+        return [f"XCP: {words}"]
 
 
 def _frame(packet: bytes, is_fd: bool) -> Frame:

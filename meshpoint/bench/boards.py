@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from meshpoint.bench.board import Board, Firmware
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.firmware_build import (
+from meshpoint.bench.firmware_rig import FirmwareRig
+from meshpoint.bus.core import Core
+from meshpoint.bus.profile import WireProfile
+from meshpoint.firmware.board import Board, Firmware
+from meshpoint.firmware.build import (
     BOTH_IMAGES,
     image,
     installed_cross_compiler,
     library,
     source_folder,
 )
-from meshpoint.bench.firmware_rig import FirmwareRig
-from meshpoint.bench.native_board import NativeBoard
-from meshpoint.bus.core import Core
-from meshpoint.bus.profile import WireProfile
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.firmware.native_board import NativeBoard
 from meshpoint.gearbox import GearboxSheet
 
 

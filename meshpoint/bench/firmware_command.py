@@ -9,8 +9,8 @@ from typing import Any
 
 from meshpoint.base.errors import CommandError, unwritten
 from meshpoint.base.exits import Exit
-from meshpoint.bench.elf import flash_content
-from meshpoint.bench.firmware_build import (
+from meshpoint.bench.firmware_classic import classic_options
+from meshpoint.firmware.build import (
     BOTH_IMAGES,
     CROSS_COMPILERS,
     IMAGES,
@@ -18,7 +18,7 @@ from meshpoint.bench.firmware_build import (
     installed_cross_compiler,
     source_folder,
 )
-from meshpoint.bench.firmware_classic import classic_options
+from meshpoint.firmware.elf import flash_content
 from meshpoint.gearbox import SheetError, load_sheet
 from meshpoint.results.output import folder_for, tell
 

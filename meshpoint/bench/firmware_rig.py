@@ -10,7 +10,6 @@ import struct
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-from meshpoint.bench.board import CHANNELS, Analogue, Board
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -25,6 +24,7 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.firmware.board import CHANNELS, Analogue, Board
 from meshpoint.rig_sim.command_inbox import CLUTCH, VALVES, CommandInbox
 from meshpoint.rig_sim.core import FROM_IO
 

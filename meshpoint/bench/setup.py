@@ -9,7 +9,6 @@ from meshpoint.base.provenance import gearbox_words
 from meshpoint.base.version import product_version
 from meshpoint.bench.adapter import AdapterProfile
 from meshpoint.bench.bench import PlannedShift
-from meshpoint.bench.board import Firmware
 from meshpoint.bench.schedules import UPSHIFTS, Pairs
 from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.profile import WireProfile
@@ -17,6 +16,7 @@ from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.settings.header import RunHeader, new_header
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.firmware.board import Firmware
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import (

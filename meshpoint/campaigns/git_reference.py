@@ -26,7 +26,7 @@ from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox.tables import TableError, load_toml
 
 POLL_S: Final = 0.2
-BESIDE: Final = ("controller", "rig_sim", "dbc")
+BESIDE: Final = ("controller", "rig_sim", "dbc", "firmware")
 """Folders of a checkout that are packages below `meshpoint` where it is installed."""
 PRODUCT: Final = ("meshpoint/__main__.py", "controller/__init__.py", "rig_sim/core.py")
 """What a checkout of the product has."""
@@ -87,7 +87,8 @@ def export(commit: Commit, folder: Path) -> bool:
     if not all((folder / path).is_file() for path in PRODUCT):
         return False
     for name in BESIDE:
-        (folder / name).rename(folder / "meshpoint" / name)
+        if (folder / name).is_dir():
+            (folder / name).rename(folder / "meshpoint" / name)
     return True
 
 

@@ -28,7 +28,7 @@ from meshpoint.controller.models.layshaft_kernels import GAIN
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
-from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.kernels.records import Vector
 from meshpoint.replays.copies import copied
@@ -94,19 +94,6 @@ class _Layshaft:
         if self.state is None:
             raise RuntimeError("no state has been worked out")
         return self.state
-
-
-class _Speeds:
-    """What a shift sequence asks of the shafts' speeds."""
-
-    propeller = None
-
-    def __init__(self, sheet: GearboxSheet, layshaft: float, main: float) -> None:
-        self._sheet, self.layshaft, self.main = sheet, layshaft, main
-
-    def slip_rad_s(self, gear: MainGear) -> float:
-        """Slip of a gear (rad/s)."""
-        return slip_rad_s(self._sheet.main_mesh(gear).ratio, self.layshaft, self.main)
 
 
 class PartedController:
@@ -207,7 +194,7 @@ class _Draw:
         edge_us = float(now_us - 5_000) if seen.layshaft is None else seen.layshaft.time_us
         state = layshaft.state = self._state(edge_us)
         main = trajectory.main(now_us, known_us=now_us)
-        speeds = _Speeds(self._parting.sheet, state.omega_rad_s, main.omega_rad_s)
+        speeds = ShaftSpeeds(self._parting.sheet, None, state.omega_rad_s, main.omega_rad_s, None)
         commands = map(self.sequence.board.command, ValveName)
         return StepSnapshot(
             now_us,
@@ -215,7 +202,7 @@ class _Draw:
             self._parting.view,
             cast(LayshaftTracker, layshaft),
             main,
-            cast(ShaftSpeeds, speeds),
+            speeds,
             FaultCode.NONE,
             tuple(command.on or command.before for command in commands),
             seen.supply_pa,

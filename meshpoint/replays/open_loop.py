@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from meshpoint.controller.core.carry_over import ReplayEstimator
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.estimate.brake_model import BrakeModel
 from meshpoint.controller.settings.header import RunHeader
@@ -24,6 +23,7 @@ from meshpoint.dbc.messages import ControllerState, ControllerStatus
 from meshpoint.replays.copies import copied
 from meshpoint.replays.landing import DRAWS, PartedController, work_out
 from meshpoint.replays.recorded_trajectory import RecordedTrajectory
+from meshpoint.replays.replay_estimator import ReplayEstimator
 from meshpoint.report.counterfactual import Counterfactual, undecidable
 from meshpoint.report.judged import Judged, judge
 from meshpoint.report.trajectory import (
@@ -170,7 +170,7 @@ class OpenLoop:
         if self._follower is None:
             other.change_settings(self._settings)
         else:
-            other.adopt_estimator(copied(self._follower))
+            copied(self._follower).hand_over(other)
         other.strategy_errors = {}
         return other
 

@@ -19,12 +19,14 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from meshpoint.base.version import product_version
 from meshpoint.bus.authentication.frames import PROOF
+from meshpoint.bus.core import Core
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
 from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.run.kept import OutageError, StepInput, load_outages
 from meshpoint.controller.settings.header import (
     HeaderError,
     RunHeader,
+    XcpAccess,
     load_header,
     run_hash_of,
 )
@@ -125,6 +127,8 @@ class LogReplay:
         self._waiting = WaitingFrames(exact=verify)
         self._sent: list[Frame] = []
         self._core: ControllerCore | None = None
+        self._node: Core | None = None
+        """The core with what stands around it and sends frames that a step is compared by."""
         self._kept: dict[int, StepInput] | None = None
         """What this session's records of outages hold, read at the first hole."""
         self._foreign = 0
@@ -216,7 +220,7 @@ class LogReplay:
 
     def _end(self, verdict: Verification, number: int, reason: str) -> None:
         self.sessions[-1].end(verdict, number, reason)
-        self._core = None
+        self._core = self._node = None
         if self._onlooker is not None:
             self._onlooker.end()
 
@@ -224,7 +228,8 @@ class LogReplay:
         run_hash = run_hash_of(status)
         session = Session(run_hash=run_hash)
         self.sessions.append(session)
-        self._core, self._foreign, self._kept = None, 0, None
+        self._core = self._node = self._kept = None
+        self._foreign = 0
         self._waiting.lose_place()
         if status.step_number != 0:
             raise NotVerifiableError(
@@ -232,23 +237,24 @@ class LogReplay:
             )
         session.header, changed = self._header(run_hash)
         self._core = ControllerCore(changed)
+        self._node = _node_of(self._core)
         session.strategy_errors = self._core.strategy_errors
         if self._onlooker is not None:
             self._onlooker.start(session.header, session.strategy_errors)
 
     def _repeat(self, session: Session, step: _Recorded) -> None:
-        core, status = self._core, step.status
-        if core is None:
+        core, node, status = self._core, self._node, step.status
+        if core is None or node is None:
             raise RuntimeError("a session without a core")
         if status.step_number != session.steps:
-            self._bridge(core, session, status.step_number)
+            self._bridge(core, node, session, status.step_number)
             step.frames = _last_step(step.frames)
         consumed = self._consumed(status)
         if self._onlooker is not None:
             self._onlooker.before(core, status, step.frames, consumed)
         for frame in consumed:
-            core.receive(frame)
-        made = core.step(status.step_time_us)
+            node.receive(frame)
+        made = node.step(status.step_time_us)
         if self._onlooker is not None:
             self._onlooker.after(status, step.frames, made.frames)
         if self._on_step is not None:
@@ -266,7 +272,7 @@ class LogReplay:
             session.intruders += others
             _compare(made.frames, own)
 
-    def _bridge(self, core: ControllerCore, session: Session, number: int) -> None:
+    def _bridge(self, core: ControllerCore, node: Core, session: Session, number: int) -> None:
         """Repeats the steps before `number` that the log does not hold, from the record that the
         controller has kept of an outage."""
         missing = range(session.steps, number)
@@ -282,8 +288,8 @@ class LogReplay:
         for each in missing:
             _, time_us, consumed = kept[each]
             for frame in consumed:
-                core.receive(frame)
-            made = core.step(time_us)
+                node.receive(frame)
+            made = node.step(time_us)
             if self._onlooker is not None:
                 self._onlooker.unheard(core, time_us, consumed)
             if self._on_event is not None:
@@ -303,6 +309,15 @@ class LogReplay:
         self._foreign = status.foreign_frames
         known = self._waiting.take(status.consumed_count, status.consumed_crc)
         return known + [UNKNOWN_FRAME] * unknown
+
+
+def _node_of(core: ControllerCore) -> Core:
+    """The core with what has stood around it, by its header."""
+    if core.header.xcp is XcpAccess.OFF:
+        return core
+    from meshpoint.controller.xcp.node import XcpCore
+
+    return XcpCore(core, core)
 
 
 def _last_step(frames: list[Frame]) -> list[Frame]:

@@ -6,9 +6,9 @@ import argparse
 from typing import Final
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.board import Firmware
 from meshpoint.cli import arguments
 from meshpoint.dbc.messages import RigFault
+from meshpoint.firmware.board import Firmware
 
 NOT_OF_THE_GEARBOX: Final = frozenset(
     (RigFault.FROZEN_PAYLOAD, RigFault.CLOCK_STEP, RigFault.NODE_RESTART, RigFault.NODE_STALLED)

@@ -7,7 +7,7 @@ import asyncio
 from collections.abc import Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import can
 
@@ -30,7 +30,7 @@ from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.cli import arguments
 from meshpoint.cli.pace import add_pace, clock_of
-from meshpoint.controller.settings.header import RunHeader, new_header
+from meshpoint.controller.settings.header import RunHeader, XcpAccess, new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.logs.recording import log_folder, recording, save_header, start_log
@@ -38,6 +38,9 @@ from meshpoint.results.output import complain
 from meshpoint.rig_sim.settings import MAX_MAIN_SPEED_RPM, Preset, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.run.firmware_argument import add_firmware, firmware_of
+
+if TYPE_CHECKING:
+    from meshpoint.controller.xcp.node import XcpCore
 
 
 def add_parser(commands: Any) -> None:
@@ -163,6 +166,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     on_event=_printer(namespace),
                     stop=stop,
                     keep=writer,
+                    around=_xcp_slave(xcp),
                     keys=keys,
                     diagnosis=namespace.diagnosis,
                     record=_record_folder(namespace, wire),
@@ -182,6 +186,16 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     if unwritten is not None:
         complain(unwritten)
     return Exit.FAILED if lost or unwritten is not None else Exit.DONE
+
+
+def _xcp_slave(access: XcpAccess) -> type[XcpCore] | None:
+    """What makes a controller an XCP slave; None, and nothing of it is loaded, where a master may
+    do nothing."""
+    if access is XcpAccess.OFF:
+        return None
+    from meshpoint.controller.xcp.node import XcpCore
+
+    return XcpCore
 
 
 def _record_folder(namespace: argparse.Namespace, wire: WireProfile) -> Path | None:

@@ -15,6 +15,7 @@ from meshpoint.bus.core import Core, Step
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import RunHeader, XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.xcp.node import XcpCore
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -130,7 +131,11 @@ class Loop:
         plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
         pauses = pauses_of(self.sheet, self.profile, self.preset)
         self.operator = BenchCore(plan, pauses) if plan else self.new_operator()
-        self.controller = Tapped(ControllerCore(self.header), self.receiving)
+        self._core = ControllerCore(self.header)
+        node: Core = self._core
+        if self.xcp is not XcpAccess.OFF:
+            node = XcpCore(node, self._core)
+        self.controller = Tapped(node, self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))
         self.frames: list[tuple[int, Frame]] = []
         self.messages: list[tuple[int, Any]] = []
@@ -142,10 +147,9 @@ class Loop:
 
     @property
     def core(self) -> ControllerCore:
-        """The controller itself."""
+        """The controller itself, without the XCP slave around it."""
         core = self.controller.core
-        assert isinstance(core, ControllerCore)
-        return core
+        return core if isinstance(core, ControllerCore) else self._core
 
     @property
     def rig_core(self) -> RigCore:

@@ -8,12 +8,12 @@ from typing import Any
 from loop_bench import Loop, Tapped
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import ReplayEstimator
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerStatus, ReferenceSource
 from meshpoint.gearbox import MainGear
+from meshpoint.replays.replay_estimator import ReplayEstimator
 
 
 class Followed(Tapped):
@@ -66,7 +66,7 @@ def test_a_follower_by_the_same_settings_knows_what_the_controller_knows() -> No
     assert followed.knew[-1][0][2] is not None
     other = followed.follower
     assert core.observer is not other.observer
-    core.adopt_estimator(other)
+    other.hand_over(core)
     assert core.observer is other.observer
     loop.run(1_650_000)
     known = loop.last(ControllerStatus).reference_known

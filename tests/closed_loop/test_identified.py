@@ -14,23 +14,24 @@ MAY_STAY_OPEN = {"brake touch pressure", "open clutch drag", "clutch kiss point"
 """What eight shifts may tell no better than the data sheet."""
 MOST_HALF = {
     "brake torque": 10.0, "brake torque by speed": 20.0, "brake valve on delay": 1.5,
-    "brake valve off delay": 1.5, "brake filling time": 2.5, "brake emptying time": 1.0,
+    "brake valve off delay": 1.5, "brake filling time": 1.0, "brake emptying time": 1.0,
     "drag": 15.0, "inertia ratio": 0.15, "layshaft wheel duty": 0.15, "main wheel duty": 0.15,
-    "layshaft wheel eccentricity": 0.03, "main wheel eccentricity": 0.15,
+    "layshaft wheel eccentricity": 0.03, "main wheel eccentricity": 0.25,
     "layshaft wheel pitch error RMS": 0.01, "main wheel pitch error RMS": 0.025,
     "sleeve delay first": 6.0, "sleeve delay second": 5.0, "sleeve delay third": 5.0,
     "sleeve delay spread": 3.0,
 }  # fmt: skip
-"""Half the interval of each figure is less than this for the gearbox with seed 11, in the figure's
+"""Half the interval of each figure is less than this for the gearbox with seed 2, in the figure's
 unit. Gearboxes differ: with seeds 1 to 8 half the interval of the main wheel's eccentricity, which
 a driveline hides that swings near its shaft's own frequency, is 0.06 to 0.21 mm, that of the
-brake's torque 5 to 20 Nm, and that of its filling time 0.5 to 1.8 ms (2.0 with seed 11)."""
+brake's torque 5 to 20 Nm, and those of its filling and emptying, which one log tells apart better
+than another, 0.5 to 2.8 and 0.4 to 4.7 ms."""
 
 
 def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
     """Of 18 figures nearly all lie in their 95 % intervals, all lie near them, and what was kept
     out of the fit is predicted better than by the data sheet."""
-    box = IdentifyRun(load_sheet("truck12"), 11, 8, Profile.TYPICAL).run()
+    box = IdentifyRun(load_sheet("truck12"), 2, 8, Profile.TYPICAL).run()
     reported = {one.name: one for one in box.reported if one.value is not None}
     assert {one.name for one in box.reported if one.value is None} <= MAY_STAY_OPEN
     assert reported.keys() - MAY_STAY_OPEN == MOST_HALF.keys()

@@ -27,6 +27,7 @@ from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES
+from meshpoint.controller.xcp.node import XcpCore
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet
@@ -47,7 +48,7 @@ class Alone:
         )
         self.core = ControllerCore(self.header)
         self.frames: list[tuple[int, Frame]] = []
-        nodes: list[Core] = [self.core, cable]
+        nodes: list[Core] = [XcpCore(self.core, self.core), cable]
         self.time = VirtualTime(nodes, [726, 2_131], lambda *frame: self.frames.append(frame))
 
     def until(self, met: Callable[[], bool], limit_us: int) -> bool:

@@ -16,8 +16,8 @@ from chamber_sleeve import ChamberSleeve
 
 from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.measure.gearbox_view import GearboxView
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.layshaft import (
-    BrakeInput,
     LayshaftState,
     first_order_law,
     free_motion,
@@ -119,9 +119,8 @@ class Box:
         if self.phase_rad is not None:
             for each in SLEEVE_OF_MAIN:
                 self.references.adopt(each, -self.phase_rad, 1)  # type: ignore[arg-type]
-        self.brake = BrakeInput(DELAY_MS * MS_US)
         self.view = GearboxView(SHEET)
-        self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.brake, self.references)
+        self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.references)
         if self.phase_rad is not None:
             prior = SleeveLaw(SHEET).prior(SHEET)
             law = law_record(Prior(prior.mean, LEARNED_SHARE**2 * prior.covariance), 10)
@@ -160,6 +159,8 @@ class Box:
             if self.has_read:
                 self.sense({one: tuple(samples)[:10] for one, samples in self.tracks.items()})
         self.sequence.step(self.snapshot())
+        for change in self.sequence.take_mesh_changes():
+            self.references.take(change)
         self.seen.append((self.now_us, self.state))
         if self.sequence.finished is not None:
             self.records.append(self.sequence.finished)
@@ -279,13 +280,10 @@ class Box:
             model=free_motion(SHEET, self.split, law, self.settings.crossing_filter),
         )  # fmt: skip
         main = ShaftState(self.now_us, self.theta_main, self.main, 1e-4, 0.01)
-        speeds: Any = SimpleNamespace(
-            layshaft=self.layshaft, main=self.main,
-            propeller=self.propeller if self.hears_propeller else None,
-            slip_rad_s=self.slip,
-            split_turns_together=lambda split: self.split is split,
-            range_turns_together=lambda range_: self.range is range_,
-        )  # fmt: skip
+        propeller = self.propeller if self.hears_propeller else None
+        split = self.split
+        input_ = None if split is None else self.layshaft / SHEET.split_mesh(split).ratio
+        speeds = ShaftSpeeds(SHEET, input_, self.layshaft, self.main, propeller)
         reported = tuple(
             valve not in self.refused and not self.board.command(valve).rests(self.now_us)
             for valve in ValveName
@@ -296,6 +294,7 @@ class Box:
             "driven": reported, "supply_pa": self.supply_pa, "engine_rad_s": self.engine,
             "engine_torque_share": round(self.torque, 2),
             "is_self_tested": self.is_self_tested,
+            "brake_delays_us": (DELAY_MS * MS_US, DELAY_MS * MS_US),
         }  # fmt: skip
         return StepSnapshot(**(values | other))
 

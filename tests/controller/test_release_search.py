@@ -7,8 +7,7 @@ import math
 import numpy as np
 from test_strategy import DELAY_US, GEAR, MAIN, MOTION, RATIO, VALVE_US, learned
 
-from meshpoint.controller.models.layshaft import BrakeInput
-from meshpoint.controller.models.thesis import LayshaftState
+from meshpoint.controller.models.layshaft import BrakeInput, LayshaftState
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.target_phase import CONTACT_SERIES, TERMS, best_trajectory, cheapest
 from meshpoint.kernels.records import filled

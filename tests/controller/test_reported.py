@@ -22,7 +22,7 @@ from meshpoint.controller.core.reporter import (
     outcome,
     prediction,
 )
-from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeedMeter, StepInputs
 from meshpoint.controller.models.layshaft import Disturbance, LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan
@@ -218,8 +218,8 @@ def test_speeds_are_those_of_their_shafts_and_slip_is_of_the_gear_against_its_sl
     inputs = StepInputs()
     for kind, (speed, wheel) in given.items():
         inputs.edges[kind].append(edge_frame(kind, speed, wheel.teeth, now_us))
-    speeds = ShaftSpeeds(SHEET)
-    speeds.take(inputs, now_us)
+    meter = ShaftSpeedMeter(SHEET)
+    speeds = meter.take(inputs, now_us)
     assert speeds.layshaft == pytest.approx(141.0, rel=1e-3)
     assert speeds.main == pytest.approx(88.0, rel=1e-3)
     assert speeds.propeller == pytest.approx(23.5, rel=1e-3)
@@ -230,7 +230,7 @@ def test_speeds_are_those_of_their_shafts_and_slip_is_of_the_gear_against_its_sl
     assert speeds.split_turns_together(Split.LOW) is False
     assert speeds.range_turns_together(Range.LOW) is True
     assert speeds.range_turns_together(Range.HIGH) is False
-    speeds.take(StepInputs(), now_us + 100_000)
+    speeds = meter.take(StepInputs(), now_us + 100_000)
     assert speeds.slip_rad_s(MainGear.FIRST) is None
     assert not speeds.split_turns_together(Split.HIGH)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from test_reported import SHEET, edge_frame
 
-from meshpoint.controller.measure.inputs import ShaftSpeeds, StepInputs
+from meshpoint.controller.measure.inputs import ShaftSpeedMeter, ShaftSpeeds, StepInputs
 from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,
@@ -27,13 +27,11 @@ TEETH: dict[type, int] = {
 
 def seen(rad_s: dict[type, float], later_us: int = 0) -> ShaftSpeeds:
     """Speeds of these shafts at a read; how they look so much later."""
-    inputs, speeds = StepInputs(), ShaftSpeeds(SHEET)
+    inputs, meter = StepInputs(), ShaftSpeedMeter(SHEET)
     for kind, speed in rad_s.items():
         inputs.edges[kind].append(edge_frame(kind, speed, TEETH[kind], NOW_US))
-    speeds.take(inputs, NOW_US)
-    if later_us:
-        speeds.take(StepInputs(), NOW_US + later_us)
-    return speeds
+    speeds = meter.take(inputs, NOW_US)
+    return meter.take(StepInputs(), NOW_US + later_us) if later_us else speeds
 
 
 @pytest.mark.parametrize(("share", "is_together"), [(0.992, True), (1.008, True), (0.988, False),

@@ -161,8 +161,6 @@ def test_what_carried_a_tooth_to_its_flank_is_reported_with_the_slip_at_contact(
     """For the phase reference: a sleeve that went straight in, and the slip as it did; none where
     drag might have turned it round within the gap."""
     box, reported, slips = Box(*way[:2]), [], []
-    gear = SHEET.main_mesh
-    del gear
     target = MainGear.SECOND if way is UP else MainGear.FIRST
     box.face = lambda _: slips.append(box.slip(target)) or False  # type: ignore[func-returns-value]
     box.references.locked = lambda *args: reported.append(args)  # type: ignore[method-assign]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -110,7 +111,7 @@ def test_a_splitter_left_between_its_steps_is_brought_in_by_the_high_one_if_the_
     def snapshot(**other: Any) -> StepSnapshot:
         shot = shows(**other)
         if rests and box.view.split is None:
-            shot.speeds.layshaft = None  # type: ignore[misc]
+            return replace(shot, speeds=shot.speeds._replace(layshaft=None))
         return shot
 
     box.snapshot = snapshot  # type: ignore[method-assign]

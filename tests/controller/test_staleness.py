@@ -17,7 +17,7 @@ from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
 from meshpoint.controller.guard.own_speed import NO_FRAME_US
 from meshpoint.controller.guard.view import GUARD_FRESH_US, GuardInputs, GuardView
-from meshpoint.controller.measure.inputs import SPEED_STALE_US, ShaftSpeeds, StepInputs
+from meshpoint.controller.measure.inputs import SPEED_STALE_US, ShaftSpeedMeter, StepInputs
 from meshpoint.controller.measure.wheel_edges import WheelEdges
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
@@ -201,11 +201,11 @@ def all_turning() -> StepInputs:
                                             (EdgesMainRise, "main"),
                                             (EdgesPropellerRise, "propeller")])  # fmt: skip
 def test_a_frozen_payload_is_no_speed_to_the_sequence(kind: Any, name: str) -> None:
-    speeds, found = ShaftSpeeds(SHEET), []
+    meter, found = ShaftSpeedMeter(SHEET), []
     for late_us in range(0, 160_000, CYCLE_US):
         inputs = StepInputs()
         inputs.take(edges(kind, NOW_US, NOW_US + late_us))
-        speeds.take(inputs, NOW_US + late_us)
+        speeds = meter.take(inputs, NOW_US + late_us)
         found.append(getattr(speeds, name) is not None)
     assert found == [True] * 3 + [False] * 13
 
@@ -214,10 +214,10 @@ def test_a_frozen_payload_is_no_speed_to_the_sequence(kind: Any, name: str) -> N
                                             (EdgesMainRise, "main"),
                                             (EdgesPropellerRise, "propeller")])  # fmt: skip
 def test_the_speed_of_a_shaft_without_frames_is_lost_to_the_sequence(kind: Any, name: str) -> None:
-    speeds = ShaftSpeeds(SHEET)
-    speeds.take(all_turning(), NOW_US)
+    meter = ShaftSpeedMeter(SHEET)
+    meter.take(all_turning(), NOW_US)
     for late_us, there in ((SPEED_STALE_US, True), (SPEED_STALE_US + 1, False)):
-        speeds.take(StepInputs(), NOW_US + late_us)
+        speeds = meter.take(StepInputs(), NOW_US + late_us)
         assert (getattr(speeds, name) is not None) is there
 
 

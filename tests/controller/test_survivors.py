@@ -12,8 +12,7 @@ import pytest
 from test_strategy import DELAY_US, GEAR, MAIN, MOTION, RATIO, VALVE_US, learned, predictor_at
 
 from meshpoint.controller.measure.wheel_edges import WheelEdges
-from meshpoint.controller.models.layshaft import BrakeInput
-from meshpoint.controller.models.thesis import LayshaftState
+from meshpoint.controller.models.layshaft import BrakeInput, LayshaftState
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.strategist import make_strategy
 from meshpoint.controller.plan.target_phase import TERMS

@@ -8,8 +8,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.firmware_build import CROSS_COMPILERS, cross_compiler, source_folder
+from meshpoint.firmware.build import CROSS_COMPILERS, cross_compiler, source_folder
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
 
 FOLDER = Path(__file__).parent / "chip"
 SAID, PART = 0x2000_8000, 0x2000_9000

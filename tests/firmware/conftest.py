@@ -12,8 +12,7 @@ from firmware_bench import CommandBench, emulated_board
 from shared_clock import TwoBoards
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.firmware_build import (
+from meshpoint.firmware.build import (
     CROSS_COMPILERS,
     IMAGES,
     compiler,
@@ -22,7 +21,8 @@ from meshpoint.bench.firmware_build import (
     library,
     source_folder,
 )
-from meshpoint.bench.native_board import NativeBoard
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.firmware.native_board import NativeBoard
 
 
 @pytest.fixture(scope="session")

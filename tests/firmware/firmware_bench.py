@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.board import Analogue, Board
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.firmware_build import IMAGES, image, source_folder
-from meshpoint.bench.native_board import CHANGES, Memory, NativeBoard
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter, read_alone
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, Message, ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
+from meshpoint.firmware.board import Analogue, Board
+from meshpoint.firmware.build import IMAGES, image, source_folder
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.firmware.native_board import CHANGES, Memory, NativeBoard
 
 VALVES = [name.removesuffix("_action") for name in ValveCommand._fields if "_action" in name]
 WRAP = 1 << 32

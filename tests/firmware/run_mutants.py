@@ -20,7 +20,7 @@ from pathlib import Path
 import cantools  # noqa: F401 (imported once, before the processes that run the tests)
 import pytest
 
-import meshpoint.bench.firmware_build
+import meshpoint.firmware.build
 import meshpoint.rig_sim.shared.valve_drivers  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]

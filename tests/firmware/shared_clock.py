@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from firmware_bench import AT_REST, BY_ID, WRAP, CommandBench
 
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.native_board import NativeBoard
 
 READ_US = 10_000
 MILLION = 1_000_000

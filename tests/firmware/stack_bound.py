@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from meshpoint.bench import firmware_build as build
+from meshpoint.firmware import build
 
 ENTRY_BYTES: Final = 4 * (8 + 1)
 INTERRUPTS: Final = ("on_tick", "on_can", "on_wake", "on_scan", "on_toggle")

@@ -18,15 +18,15 @@ from typing import NamedTuple
 
 from firmware_bench import AT_REST, BY_ID, WRAP
 
-from meshpoint.bench.firmware_build import BOTH_IMAGES, IMAGES, library, source_folder
 from meshpoint.bench.firmware_rig import EDGES as CHANNEL_OF
-from meshpoint.bench.native_board import CHANNELS, EDGES, WHEELS, NativeBoard
 from meshpoint.bench.schedules import MIXED
 from meshpoint.bench.setup import Setup
 from meshpoint.bench.simulate import simulate
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import read_alone
+from meshpoint.firmware.build import BOTH_IMAGES, IMAGES, library, source_folder
+from meshpoint.firmware.native_board import CHANNELS, EDGES, WHEELS, NativeBoard
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
 

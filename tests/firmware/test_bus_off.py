@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from timed_board import run_until, sent, timed_board
 
-from meshpoint.bench.board import Failure
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.dbc.messages import Message
+from meshpoint.firmware.board import Failure
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
 
 OLDEST_US = 22_000
 """20 ms, a millisecond to look at it and one on the bus (docs/firmware.md)."""

@@ -18,10 +18,7 @@ from firmware_bench import VALVES, CommandBench, Order, command
 from structures import CCommand, CEdgeRead, CFrame, CReport, CScan
 from test_off import ENDS, go_through_all
 
-from meshpoint.bench.board import Firmware
-from meshpoint.bench.firmware_build import BOTH_IMAGES, library
 from meshpoint.bench.firmware_classic import classic_options
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.bench.setup import Setup
 from meshpoint.bench.simulate import simulate
 from meshpoint.bus.classic.commands import OrderSender
@@ -33,6 +30,9 @@ from meshpoint.dbc.classic.codecs import CLASSIC_CODECS
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction
+from meshpoint.firmware.board import Firmware
+from meshpoint.firmware.build import BOTH_IMAGES, library
+from meshpoint.firmware.native_board import NativeBoard
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")

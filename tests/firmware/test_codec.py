@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from structures import CEdgeRead, CFrame, COrder, CReport, CScan
 
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.source import DBC_PATH
+from meshpoint.firmware.native_board import NativeBoard
 
 DATABASE = cantools.database.load_file(DBC_PATH)
 EDGES = [message.name for message in DATABASE.messages if message.name.startswith("Edges")]

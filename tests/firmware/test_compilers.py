@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.bench import firmware_build as build
-from meshpoint.bench.native_board import NativeBoard
+from meshpoint.firmware import build
+from meshpoint.firmware.native_board import NativeBoard
 
 pytestmark = pytest.mark.device
 

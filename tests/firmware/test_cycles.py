@@ -8,7 +8,7 @@ import pytest
 from stack_bound import bound, call_graph, total_bytes
 from worst_case import CYCLES_A_US, NAMES, worst_case
 
-from meshpoint.bench.firmware_build import CROSS_COMPILERS, source_folder
+from meshpoint.firmware.build import CROSS_COMPILERS, source_folder
 
 MOST_US = {"main loop": 1_000, "FDCAN1": 100, "SysTick": 10, "TIM5": 10, "DMA2 channel 1": 10}
 """An interrupt, behind another one, leaves a valve its 100 us."""

@@ -10,9 +10,9 @@ import pytest
 from firmware_bench import AT_REST, CommandBench
 from structures import CEdgeChannel, CEdgeRead
 
-from meshpoint.bench.board import Analogue
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.messages import EdgesInputFall, EdgesMainRise, GearboxSensors, SleevesAux
+from meshpoint.firmware.board import Analogue
+from meshpoint.firmware.native_board import NativeBoard
 
 READ_US, LONG_US, STAMPS, WRAP = 10_000, 0xFFFF, 27, 1 << 32
 HOUR_US = 3_600_000_000

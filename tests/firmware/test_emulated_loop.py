@@ -9,15 +9,15 @@ import pytest
 from firmware_bench import emulated_board
 from test_loop import SHEET, Driven, bus, idle
 
-from meshpoint.bench import firmware_build as build
-from meshpoint.bench.board import Firmware
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.bench.firmware_rig import FirmwareRig
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.bench.setup import Setup
 from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.firmware import build
+from meshpoint.firmware.board import Firmware
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.firmware.native_board import NativeBoard
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
 

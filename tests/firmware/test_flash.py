@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.elf import flash_content, segments
-from meshpoint.bench.firmware_build import (
+from meshpoint.cli.main import main
+from meshpoint.firmware.build import (
     CROSS_COMPILERS,
     IMAGES,
     cross_compiler,
     source_folder,
 )
-from meshpoint.bench.firmware_build import image as linked
-from meshpoint.cli.main import main
+from meshpoint.firmware.build import image as linked
+from meshpoint.firmware.elf import flash_content, segments
 
 FLASH, RAM = range(0x0800_0000, 0x0808_0000), range(0x2000_0000, 0x2001_8000)
 

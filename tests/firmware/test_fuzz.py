@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.bench.firmware_build import (
+from meshpoint.firmware.build import (
     BOTH_IMAGES,
     IMAGES,
     compiled,

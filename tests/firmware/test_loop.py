@@ -12,10 +12,7 @@ from pathlib import Path
 import pytest
 from firmware_bench import CommandBench
 
-from meshpoint.bench import firmware_build as build
-from meshpoint.bench.board import Firmware
 from meshpoint.bench.firmware_rig import FirmwareRig
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.bench.setup import Setup
 from meshpoint.bench.simulate import simulate
 from meshpoint.bus.core import Core
@@ -35,6 +32,9 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.firmware import build
+from meshpoint.firmware.board import Firmware
+from meshpoint.firmware.native_board import NativeBoard
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings

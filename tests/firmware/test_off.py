@@ -11,11 +11,11 @@ import pytest
 from firmware_bench import VALVES, WRAP, CommandBench, Order, emulated_board
 from shared_clock import TwoBoards
 
-from meshpoint.bench.board import Failure
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.firmware_build import CROSS_COMPILERS
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ValveAction
+from meshpoint.firmware.board import Failure
+from meshpoint.firmware.build import CROSS_COMPILERS
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
 
 OFF_US = 101_000
 ENDS = ("silence", "reset", "bus-off", "garbage", "clock jump", "stuck main loop", "deaf", "fault")

@@ -8,8 +8,8 @@ import random
 import numpy as np
 from structures import CChannel
 
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.e2e import StateMachine, Status, check_counter, write_crc
+from meshpoint.firmware.native_board import NativeBoard
 
 DATA_ID = 0x1234
 MOST_DELTA = 2

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import pytest
 
-from meshpoint.bench.cortex_m4.chip import Chip, Outside
-from meshpoint.bench.cortex_m4.registers import RegisterError
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.cortex_m4.chip import Chip, Outside
+from meshpoint.firmware.cortex_m4.registers import RegisterError
 
 RCC, FLASH, GPIOA = 0x4002_1000, 0x4002_2000, 0x4800_0000
 CR, CFGR, PLLCFGR, AHB1ENR, AHB2ENR, APB1ENR1 = (RCC + at for at in (0, 8, 0xC, 0x48, 0x4C, 0x58))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from firmware_bench import PAIRS, VALVES, WRAP, CommandBench
 
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.e2e import write_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ClutchAction, ValveAction
+from meshpoint.firmware.native_board import NativeBoard
 
 CLUTCH_DATA_ID = 0x4D41
 ON, OFF, ON_AT, OFF_AT = (

@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from timed_board import sent, timed_board
 
-from meshpoint.bench.cortex_m4.emulated_board import (
+from meshpoint.dbc.messages import GearboxSensors, SleevesAux, SleevesMain
+from meshpoint.firmware.cortex_m4.emulated_board import (
     HIGHEST,
     LOWEST,
     SLEEVES,
     SLOW,
     EmulatedBoard,
 )
-from meshpoint.dbc.messages import GearboxSensors, SleevesAux, SleevesMain
 
 RAMP_US = 80_000
 """All inputs go through their range in this time: a sleeve at 0.5 m/s."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from stack_bound import bound, call_graph, total_bytes
 
-from meshpoint.bench import firmware_build as build
+from meshpoint.firmware import build
 
 pytestmark = pytest.mark.skipif(
     shutil.which("arm-none-eabi-gcc") is None, reason="gcc-arm-none-eabi is not installed"

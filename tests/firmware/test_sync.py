@@ -9,8 +9,8 @@ import pytest
 from firmware_bench import WRAP, Order
 from shared_clock import READ_US, TwoBoards
 
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.messages import ValveAction
+from meshpoint.firmware.native_board import NativeBoard
 
 ON, OFF_AT, ON_AT = ValveAction.ON_NOW, ValveAction.OFF_AT, ValveAction.ON_AT
 MOST_WRONG_US = 100

@@ -23,10 +23,10 @@ from teeth_chain import (
     shifts,
 )
 
-from meshpoint.bench.firmware_build import CROSS_COMPILERS
-from meshpoint.bench.native_board import CHANNELS, NativeBoard
 from meshpoint.dbc.e2e import write_crc
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.build import CROSS_COMPILERS
+from meshpoint.firmware.native_board import CHANNELS, NativeBoard
 
 SLEW = 450e-6
 """200 ppm by which the clocks may drift, and 250 by which they are followed."""

@@ -7,7 +7,7 @@ import ctypes
 import pytest
 from structures import CScan
 
-from meshpoint.bench.native_board import NativeBoard
+from meshpoint.firmware.native_board import NativeBoard
 
 FULL = 4095 * 16
 SLEEVES = range(4)

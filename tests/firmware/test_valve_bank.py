@@ -8,8 +8,8 @@ import random
 import pytest
 from structures import COrder, CValves
 
-from meshpoint.bench.native_board import NativeBoard
 from meshpoint.dbc.messages import ValveAction
+from meshpoint.firmware.native_board import NativeBoard
 from meshpoint.rig_sim.shared.valve_drivers import Order, ValveBank
 
 PAUSES_US = [0, 1, 999, 1_000, 5_000, 10_000, 10_000, 10_000, 10_000, 40_000, 99_999, 100_000]

@@ -9,10 +9,10 @@ from firmware_bench import command
 from timed_board import timed_board
 from worst_case import NOISE_EDGES, orders
 
-from meshpoint.bench.board import Failure
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.node import Node
+from meshpoint.firmware.board import Failure
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
 
 SLOWEST_HZ, FASTEST_HZ = 29_500, 34_000
 """LSI from -40 to 125 degrees, by the data sheet of the STM32G474."""

@@ -6,16 +6,16 @@ import pytest
 from firmware_bench import BY_ID
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.cortex_m4.iwdg import LSI_HZ
-from meshpoint.bench.firmware_build import (
+from meshpoint.dbc.link import read_alone
+from meshpoint.dbc.messages import Message
+from meshpoint.firmware.build import (
     IMAGES,
     image,
     installed_cross_compiler,
     source_folder,
 )
-from meshpoint.dbc.link import read_alone
-from meshpoint.dbc.messages import Message
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.firmware.cortex_m4.iwdg import LSI_HZ
 
 STARTED_US = 16_000
 """By then a board is on its bus and its main loop sleeps."""

@@ -3,7 +3,7 @@
     python tests/firmware/worst_case.py --by gcc
 
 Cycles are an estimate from above: the image runs on the emulated board, and each instruction costs
-the most that it can (meshpoint/bench/cortex_m4/cycles.py). At 80 MHz a cycle is 12.5
+the most that it can (firmware/cortex_m4/cycles.py). At 80 MHz a cycle is 12.5
 ns. What is asked of the board is meant to be the hardest: noise on all wheels up to the most that
 is taken, and three commands for all valves each millisecond, with times to keep.
 The stack's bound is the compiler's (stack_bound.py); what was reached is beside it.
@@ -20,11 +20,11 @@ from typing import Any, Final, NamedTuple
 from firmware_bench import AT_REST, VALVES, CommandBench, emulated_board
 from stack_bound import bound, call_graph, total_bytes
 
-from meshpoint.bench.cortex_m4.cycles import block_cycles
-from meshpoint.bench.cortex_m4.emulated_board import EmulatedBoard
-from meshpoint.bench.cortex_m4.processor import WFI
-from meshpoint.bench.firmware_build import CROSS_COMPILERS, source_folder
 from meshpoint.dbc.messages import ValveAction
+from meshpoint.firmware.build import CROSS_COMPILERS, source_folder
+from meshpoint.firmware.cortex_m4.cycles import block_cycles
+from meshpoint.firmware.cortex_m4.emulated_board import EmulatedBoard
+from meshpoint.firmware.cortex_m4.processor import WFI
 
 CYCLES_A_US: Final = 80
 NAMES: Final = {0: "main loop", 15: "SysTick", 37: "FDCAN1", 66: "TIM5", 72: "DMA2 channel 1"}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from truck_bench import GEAR, SHEET, TRIALS, limit_sheet, limit_values, run, share, world
 
+from benchmarks.studies.trials import Trials
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.trials import Trials
 from meshpoint.units import DEG, RPM
 
 PITCH = 15.0 * DEG

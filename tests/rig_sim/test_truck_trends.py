@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from truck_bench import SHEET, TRIALS, limit_sheet, limit_values
 
+from benchmarks.studies.trials import Trials
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.truck.as_built import draw_as_built, linear
 from meshpoint.rig_sim.truck.delays import TruckDelays
-from meshpoint.rig_sim.truck.trials import Trials
 from meshpoint.units import DEG, RPM
 
 BACKLASH = 3.0 * DEG

@@ -18,8 +18,9 @@ from benchmarks.studies.jobs import Delay, LoopResult, ShiftErrors
 from benchmarks.studies.record import Finding, Given, Statement, ThesisVerdict
 from benchmarks.studies.registry import load
 from benchmarks.studies.settings import load_study_settings
+from benchmarks.studies.thesis_predictions import predict_linear
 from benchmarks.studies.validation import Compared, time_constant_s
-from meshpoint.controller.models.thesis import LayshaftState, predict_linear
+from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("thesis")

@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from live_command import live
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.board import Firmware
 from meshpoint.bench.boards import board_of
 from meshpoint.cli.main import main
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.firmware.board import Firmware
 
 pytestmark = pytest.mark.timeout(900)
 

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 SETTINGS: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-FOLDERS = ("controller", "dbc", "meshpoint", "rig_sim")
+FOLDERS = ("controller", "dbc", "firmware", "meshpoint", "rig_sim")
 INSTALLS = {"autosar_e2e": "autosar-e2e", "e2e": "autosar-e2e", "can": "python-can"}
 """Where a package is imported by another name than it is installed by."""
 OPTIONAL = {"dask": "distributed", "cryptography": "cryptography", "foxglove": "foxglove-sdk",

@@ -13,10 +13,10 @@ from patience import HANG_S, Patience, until
 from vcan_bench import LOOK_S, SPEED, VCAN, Command, meshpoint
 
 from meshpoint.base.errors import CommandError
-from meshpoint.bench.board import Firmware
 from meshpoint.bench.boards import board_of
 from meshpoint.cli.table import build_parser
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.firmware.board import Firmware
 
 for _name in ("check", "commission"):
     build_parser(_name)  # loads the command, before anything is forked

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-PRODUCT: Final = ("controller", "dbc", "meshpoint", "rig_sim")
-"""Folders whose Python is in the wheel."""
+PRODUCT: Final = ("controller", "dbc", "firmware", "meshpoint", "rig_sim")
+"""Folders that an installation has."""
 
 
 def name_of(path: Path) -> str:

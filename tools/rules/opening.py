@@ -21,7 +21,7 @@ EXCEPTIONS = {
     "meshpoint/kernels/folder.py": "its own cache: O_NOFOLLOW, owner, mode and size are checked",
     "meshpoint/campaigns/git_reference.py": "what git packed, and what a child said",
     "meshpoint/bridges/a2l_transport.py": "a file of the package",
-    "meshpoint/bench/firmware_build.py": "files of the package; what the compiler made",
+    "firmware/build.py": "files of the package; what the compiler made",
     "meshpoint/cli/show_messages.py": "a file of the package",
     "meshpoint/cli/reference.py": "pages of this repository",
     "meshpoint/bench/node_patience.py": "the kernel's own files",

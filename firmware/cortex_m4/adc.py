@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Final
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register, field
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register, field
 
 FULL_SCALE: Final = 65_520
 ISR, IER, CR, CFGR, CFGR2, SMPR1, SQR1, DR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x30, 0x40

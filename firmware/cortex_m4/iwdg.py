@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register
 
 KR, PR, RLR, SR, WINR = 0x00, 0x04, 0x08, 0x0C, 0x10
 START, RELOAD, UNLOCK = 0xCCCC, 0xAAAA, 0x5555

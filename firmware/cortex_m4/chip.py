@@ -10,15 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
-from meshpoint.bench.cortex_m4.adc import Adc, AdcCommon
-from meshpoint.bench.cortex_m4.dma import CHANNELS, Dma, Dmamux
-from meshpoint.bench.cortex_m4.fdcan import Fdcan, MessageRam
-from meshpoint.bench.cortex_m4.flash import Flash
-from meshpoint.bench.cortex_m4.gpio import Gpio, Mode
-from meshpoint.bench.cortex_m4.iwdg import LSI_HZ, Iwdg
-from meshpoint.bench.cortex_m4.nvic import SYSTICK, Nvic
-from meshpoint.bench.cortex_m4.pwr import Pwr
-from meshpoint.bench.cortex_m4.rcc import (
+from meshpoint.firmware.cortex_m4.adc import Adc, AdcCommon
+from meshpoint.firmware.cortex_m4.dma import CHANNELS, Dma, Dmamux
+from meshpoint.firmware.cortex_m4.fdcan import Fdcan, MessageRam
+from meshpoint.firmware.cortex_m4.flash import Flash
+from meshpoint.firmware.cortex_m4.gpio import Gpio, Mode
+from meshpoint.firmware.cortex_m4.iwdg import LSI_HZ, Iwdg
+from meshpoint.firmware.cortex_m4.nvic import SYSTICK, Nvic
+from meshpoint.firmware.cortex_m4.pwr import Pwr
+from meshpoint.firmware.cortex_m4.rcc import (
     AHB1ENR,
     AHB2ENR,
     APB1ENR1,
@@ -26,9 +26,9 @@ from meshpoint.bench.cortex_m4.rcc import (
     SOFTWARE_RESET,
     Rcc,
 )
-from meshpoint.bench.cortex_m4.registers import Peripheral, RegisterError
-from meshpoint.bench.cortex_m4.systick import SysTick
-from meshpoint.bench.cortex_m4.timer import CCR1, GeneralTimer, Timer, WideTimer, Wires
+from meshpoint.firmware.cortex_m4.registers import Peripheral, RegisterError
+from meshpoint.firmware.cortex_m4.systick import SysTick
+from meshpoint.firmware.cortex_m4.timer import CCR1, GeneralTimer, Timer, WideTimer, Wires
 
 PAGE: Final = 0x1000
 PAGES: Final = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register, field
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register, field
 
 CR, CFGR, PLLCFGR, CCIPR, CSR = 0x00, 0x08, 0x0C, 0x88, 0x94
 AHB1ENR, AHB2ENR, APB1ENR1, APB2ENR = 0x48, 0x4C, 0x58, 0x60

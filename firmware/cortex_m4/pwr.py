@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register
 
 
 class Pwr(Peripheral):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register
 
 CTRL, LOAD, VAL, CALIB = 0x10, 0x14, 0x18, 0x1C
 ENABLE, TICKINT, PROCESSOR_CLOCK, COUNTFLAG = 1, 1 << 1, 1 << 2, 1 << 16

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar, Final
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register
-from meshpoint.bench.cortex_m4.systick import SysTick
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register
+from meshpoint.firmware.cortex_m4.systick import SysTick
 
 RESET, NMI, HARD_FAULT, MEMORY_FAULT, BUS_FAULT, USAGE_FAULT = 1, 2, 3, 4, 5, 6
 SVCALL, PENDSV, SYSTICK, FIRST_INTERRUPT = 11, 14, 15, 16

@@ -10,14 +10,14 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from meshpoint.bench.board import Analogue, Failure
-from meshpoint.bench.cortex_m4.chip import PAGES, Chip, Outside
-from meshpoint.bench.cortex_m4.iwdg import LSI_HZ
-from meshpoint.bench.cortex_m4.processor import Processor
-from meshpoint.bench.cortex_m4.rcc import BROWN_OUT_RESET, PIN_RESET
-from meshpoint.bench.cortex_m4.registers import WORD
-from meshpoint.bench.elf import segments
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.board import Analogue, Failure
+from meshpoint.firmware.cortex_m4.chip import PAGES, Chip, Outside
+from meshpoint.firmware.cortex_m4.iwdg import LSI_HZ
+from meshpoint.firmware.cortex_m4.processor import Processor
+from meshpoint.firmware.cortex_m4.rcc import BROWN_OUT_RESET, PIN_RESET
+from meshpoint.firmware.cortex_m4.registers import WORD
+from meshpoint.firmware.elf import segments
 
 US_PER_S: Final = 1_000_000
 SENSOR_CLOCK: Final = ("TIM2", "TIM3")

@@ -6,7 +6,7 @@ import ctypes
 from typing import Any, Final
 
 from meshpoint.base.extra import needed
-from meshpoint.bench.firmware_build import EXTRA
+from meshpoint.firmware.build import EXTRA
 
 NAMES: Final = ("R0", "R1", "R2", "R3", "R12", "LR", "PC", "XPSR", "SP", "PRIMASK")
 R0, R1, R2, R3, R12, LR, PC, XPSR, SP, PRIMASK = range(len(NAMES))

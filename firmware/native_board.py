@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from meshpoint.bench.board import CHANNELS, SCANS, Analogue, Failure
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.board import CHANNELS, SCANS, Analogue, Failure
 
 EDGES: Final = 256
 SENT: Final = 64

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import ClassVar
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register, field
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register, field
 
 MODER, IDR, ODR, BSRR, AFRL, AFRH, BRR = 0x00, 0x10, 0x14, 0x18, 0x20, 0x24, 0x28
 PINS = 0xFFFF

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from meshpoint.base.extra import needed
-from meshpoint.bench.firmware_build import EXTRA
+from meshpoint.firmware.build import EXTRA
 
 
 def map_registers(

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Callable
 from typing import ClassVar, Final, NamedTuple
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register, field
 from meshpoint.dbc.frame import Frame
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register, field
 
 DBTP, CCCR, NBTP, ECR, PSR, TDCR = 0x0C, 0x18, 0x1C, 0x40, 0x44, 0x48
 IR, IE, ILS, ILE, RXGFC, RXF0S, RXF0A = 0x50, 0x54, 0x58, 0x5C, 0x80, 0x90, 0x94

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Final, NamedTuple
 
-from meshpoint.bench.cortex_m4.registers import WORD, Peripheral, Register, field
+from meshpoint.firmware.cortex_m4.registers import WORD, Peripheral, Register, field
 
 CR1, CR2, SMCR, DIER, SR, EGR = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14
 CCMR1, CCMR2, CCER, CNT, PSC, ARR, CCR1 = 0x18, 0x1C, 0x20, 0x24, 0x28, 0x2C, 0x34

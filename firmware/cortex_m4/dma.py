@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import ClassVar, Final
 
-from meshpoint.bench.cortex_m4.registers import Peripheral, Register, field
+from meshpoint.firmware.cortex_m4.registers import Peripheral, Register, field
 
 ISR, IFCR = 0x00, 0x04
 CCR, CNDTR, CPAR, CMAR = 0x08, 0x0C, 0x10, 0x14

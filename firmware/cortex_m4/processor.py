@@ -18,7 +18,8 @@ from typing import Any, Final, Protocol
 
 from meshpoint.base.errors import CommandError
 from meshpoint.base.extra import needed
-from meshpoint.bench.cortex_m4.core_registers import (
+from meshpoint.firmware.build import EXTRA
+from meshpoint.firmware.cortex_m4.core_registers import (
     FRAME,
     LR,
     PC,
@@ -27,8 +28,8 @@ from meshpoint.bench.cortex_m4.core_registers import (
     XPSR,
     CoreRegisters,
 )
-from meshpoint.bench.cortex_m4.cycles import ACCESS, EXCEPTION, block_cycles
-from meshpoint.bench.cortex_m4.nvic import (
+from meshpoint.firmware.cortex_m4.cycles import ACCESS, EXCEPTION, block_cycles
+from meshpoint.firmware.cortex_m4.nvic import (
     BFAR,
     BUS_FAULT,
     CFSR,
@@ -37,9 +38,8 @@ from meshpoint.bench.cortex_m4.nvic import (
     USAGE_FAULT,
     Nvic,
 )
-from meshpoint.bench.cortex_m4.register_pages import map_registers
-from meshpoint.bench.cortex_m4.registers import WORD, RegisterError
-from meshpoint.bench.firmware_build import EXTRA
+from meshpoint.firmware.cortex_m4.register_pages import map_registers
+from meshpoint.firmware.cortex_m4.registers import WORD, RegisterError
 
 FLASH: Final = range(0x0800_0000, 0x0808_0000)
 MEMORIES: Final = (
