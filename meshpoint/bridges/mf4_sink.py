@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.base.extra import needed
+from meshpoint.base.version import product_version
 from meshpoint.bridges.series import TOPICS, Sample
 from meshpoint.bridges.sink import Event, Sink
 
@@ -23,6 +24,10 @@ EXTRA: Final = "mf4"
 GROUP_ROWS: Final = 50_000
 """Rows of a topic that are held before they are handed on."""
 EVENT_BYTES: Final = 200
+HISTORY: Final = (
+    "<FHcomment><TX>converted</TX><tool_id>meshpoint convert</tool_id>"
+    f"<tool_vendor>meshpoint</tool_vendor><tool_version>{product_version()}</tool_version></FHcomment>"
+)
 LEAST_DATE_S: Final = 1e8
 """A log whose first time is less counts from its own start."""
 
@@ -35,7 +40,19 @@ def mf4_file(path: Path) -> Iterator[Sink]:
         sink = Mf4Sink(asammdf, mdf)
         yield sink
         sink.flush()
-        mdf.save(path, overwrite=True, compression=2)
+        mdf.file_history.append(_history())
+        mdf.save(path, overwrite=True, compression=2, add_history_block=False)
+
+
+def _history() -> Any:
+    """The entry of a file's history that the format wants, without the time of writing: the same
+    log gives the same bytes."""
+    from asammdf.blocks.v4_blocks import FileHistory
+
+    history = FileHistory()
+    history.comment = HISTORY
+    history.abs_time = history.tz_offset = history.daylight_save_time = history.time_flags = 0
+    return history
 
 
 class Mf4Sink:

@@ -157,6 +157,19 @@ def test_an_mdf_of_a_log_with_a_date_begins_at_it(log: Path, tmp_path: Path) -> 
     assert 0.0 <= mdf.get("EEC1.engine_speed_rad_s").timestamps[0] < 0.1
 
 
+@pytest.mark.parametrize("ending", [".mcap", ".mf4", ".parquet"])
+def test_a_log_gives_the_same_bytes_whenever_it_is_converted(
+    log: Path, tmp_path: Path, ending: str
+) -> None:
+    again = tmp_path / f"again{ending}"
+    assert main(["convert", str(log), "-o", str(again)]) == 0
+    first = converted(log, ending)
+    files = [each for each in sorted(first.rglob("*")) if each.is_file()] or [first]
+    for file in files:
+        other = again / file.relative_to(first) if file != first else again
+        assert other.read_bytes() == file.read_bytes(), file.name
+
+
 def test_what_happened_is_told_in_words(log: Path, rows: Rows) -> None:
     assert len(rows["/events"]) > 20
     events = asammdf.MDF(converted(log, ".mf4")).get("Events").samples.tolist()
