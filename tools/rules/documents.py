@@ -19,6 +19,7 @@ WITH_PYTHON = ("benchmarks", "examples", "tests", "tools", *PRODUCT)
 PY_NAME = re.compile(r"(?<![\w/.*-])((?:[\w-]+/)*[\w-]+\.py)(?:::(\w+))?(?!\w)")
 NEXT_TEST = re.compile(r"(?<![\w/])`::(\w+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+MERGE = re.compile(r"^(?:<{7}|>{7}) .*", re.MULTILINE)
 SETTING = re.compile(r"`(\w+)\.(?!py`)(\w+)`")
 TO_BE_ADDED = {"guard.supply_high_bar"}
 """A setting that docs/change.md adds for practice."""
@@ -78,6 +79,12 @@ def links(document: Path) -> Iterator[str]:
         target = document.parent / path if path else document
         if not target.exists() or (anchor and anchor not in anchors(target)):
             yield f"leads nowhere: {link}"
+
+
+def merges(document: Path) -> Iterator[str]:
+    """Marks that git has left of two versions of a passage."""
+    for line in MERGE.findall(text_of(document)):
+        yield f"left of a merge: {line}"
 
 
 @cache
@@ -155,7 +162,7 @@ def changes() -> Iterator[str]:
 def findings() -> Iterator[str]:
     """Of every document, and of those with a rule of their own."""
     for document in DOCUMENTS:
-        for rule in (files, tests, links, settings):
+        for rule in (files, tests, links, merges, settings):
             for finding in rule(document):
                 yield f"{name_of(document)}: {finding}"
     if (ROOT / "README.md").stat().st_size > README_BYTES:
