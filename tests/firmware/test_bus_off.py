@@ -28,6 +28,7 @@ def assert_all_young(board: EmulatedBoard, messages: list[Message]) -> None:
 @pytest.mark.parametrize("image", ["both", "sensor", "valve"])
 def test_each_image_sends_again_after_bus_off(image: str) -> None:
     board = timed_board(image)
+    sent(board)  # what it has sent by now
     board.fail(Failure.BUS_OFF)
     board.advance(60_000)
     assert sent(board) == []
@@ -38,6 +39,7 @@ def test_each_image_sends_again_after_bus_off(image: str) -> None:
 
 def test_frames_that_waited_as_it_went_off_are_not_sent_behind_it() -> None:
     board = timed_board()
+    sent(board)
     board.chip.fdcan.is_alone = True
     board.advance(2 * CYCLE_US)
     board.fail(Failure.BUS_OFF)
