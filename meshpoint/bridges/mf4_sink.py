@@ -40,11 +40,11 @@ def mf4_file(path: Path) -> Iterator[Sink]:
         sink = Mf4Sink(asammdf, mdf)
         yield sink
         sink.flush()
-        mdf.file_history.append(_history())
+        mdf.file_history.append(_history(asammdf))
         mdf.save(path, overwrite=True, compression=2, add_history_block=False)
 
 
-def _history() -> Any:
+def _history(asammdf: Any) -> Any:
     """The entry of a file's history that the format wants, without the time of writing: the same
     log gives the same bytes."""
     from asammdf.blocks.v4_blocks import FileHistory
