@@ -47,9 +47,7 @@ def mf4_file(path: Path) -> Iterator[Sink]:
 def _history(asammdf: Any) -> Any:
     """The entry of a file's history that the format wants, without the time of writing: the same
     log gives the same bytes."""
-    from asammdf.blocks.v4_blocks import FileHistory
-
-    history = FileHistory()
+    history = asammdf.blocks.v4_blocks.FileHistory()
     history.comment = HISTORY
     history.abs_time = history.tz_offset = history.daylight_save_time = history.time_flags = 0
     return history
