@@ -12,13 +12,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
+import asammdf
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from asammdf import MDF, Signal
-from asammdf.blocks.v4_blocks import FileHistory
 
 from benchmarks.dataset.parts import SERIES, TIME_OF, TRUTH, ShiftParts
+from meshpoint.bridges.mf4_sink import undated_history
 from meshpoint.units import US
 
 UNITS: Final = {
@@ -43,16 +44,8 @@ def write_mf4(path: Path, shift: ShiftParts) -> None:
             signals = _signals(name, table)
             if signals:
                 mdf.append(signals, acq_name=name, comment=name)
-        mdf.file_history.append(_history())
+        mdf.file_history.append(undated_history(asammdf, HISTORY))
         mdf.save(path, overwrite=True, compression=2, add_history_block=False)
-
-
-def _history() -> FileHistory:
-    """MDF wants one entry at least."""
-    history = FileHistory()
-    history.comment = HISTORY
-    history.abs_time = history.tz_offset = history.daylight_save_time = history.time_flags = 0
-    return history
 
 
 def _groups(shift: ShiftParts) -> Iterator[tuple[str, pa.Table]]:

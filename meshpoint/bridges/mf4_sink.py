@@ -40,15 +40,15 @@ def mf4_file(path: Path) -> Iterator[Sink]:
         sink = Mf4Sink(asammdf, mdf)
         yield sink
         sink.flush()
-        mdf.file_history.append(_history(asammdf))
+        mdf.file_history.append(undated_history(asammdf, HISTORY))
         mdf.save(path, overwrite=True, compression=2, add_history_block=False)
 
 
-def _history(asammdf: Any) -> Any:
+def undated_history(asammdf: Any, comment: str) -> Any:
     """The entry of a file's history that the format wants, without the time of writing: the same
-    log gives the same bytes."""
+    content gives the same bytes. comment: XML of the format, what wrote it."""
     history = asammdf.blocks.v4_blocks.FileHistory()
-    history.comment = HISTORY
+    history.comment = comment
     history.abs_time = history.tz_offset = history.daylight_save_time = history.time_flags = 0
     return history
 

@@ -23,7 +23,6 @@ from typing import Final
 from meshpoint.base.errors import CommandError, RunError
 from meshpoint.campaigns.baseline import Outcome, Outcomes, outcome_tables, read_outcomes
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.gearbox.reading import UnreadableError
 from meshpoint.gearbox.tables import TableError, load_toml
 
 POLL_S: Final = 0.2
@@ -178,7 +177,7 @@ class GitBaseline:
             try:
                 if table not in self._seen:
                     self._seen[table] = read_outcomes([table], self._strategy)
-            except (CommandError, UnreadableError):
+            except CommandError:
                 if table.exists():
                     raise
                 return self._read()  # its parts have just become one table

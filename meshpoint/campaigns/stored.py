@@ -125,8 +125,11 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
 
 
 def column_names(path: Path) -> frozenset[str]:
-    """The columns of a table that `read_columns` has read."""
+    """The columns of a table that `read_columns` has read. CommandError where it is gone since."""
     import pyarrow.parquet as pq
 
-    with open_regular(path) as source:
-        return frozenset(pq.read_schema(source).names)
+    try:
+        with open_regular(path) as source:
+            return frozenset(pq.read_schema(source).names)
+    except UnreadableError as error:
+        raise CommandError(str(error)) from error
