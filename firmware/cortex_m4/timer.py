@@ -249,7 +249,7 @@ class Timer(Peripheral):
         return False
 
     def _match(self, unit: int, now_us: int) -> None:
-        raise NotImplementedError
+        raise NotImplementedError  # a timer without UNITS is never asked; one with them has its own
 
 
 class GeneralTimer(Timer):
