@@ -146,7 +146,9 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
             return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
         shift.plan = None
         return Trigger.RETRACTED
-    if context.late(snapshot, context.settings.limits.disengage_ms):
+    # As many pushes as may bring an old gear's sleeve to neutral.
+    limits = context.settings.limits
+    if context.late(snapshot, limits.attempts * limits.disengage_ms):
         return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
     bring_to_neutral(context, snapshot, stands=True)
     return None

@@ -38,6 +38,7 @@ from meshpoint.controller.sleeve.stroke import (
     pulse_to_neutral_us,
     rests_at_m,
     stops,
+    throws_us,
     to_contact,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
@@ -110,6 +111,8 @@ class Sleeves:
         """From the valve's opening to contact from neutral, by the data sheet."""
         self._spread_us = SECOND_US * (sleeve.delay_limit_s + sleeve.valve_delay_tolerance_s)
         """By so much longer than its current a pulse may be, its valve late to shut."""
+        self._chance_us = round(2.0 * SECOND_US * sleeve.delay_limit_s)
+        """The same of one whose delays are learned: early to open and late to shut."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
@@ -374,7 +377,8 @@ class Sleeves:
         if in_gear:
             most_us = max(bound_us, REACT_US) * (1.0 if is_taught else FIRST_SHARE)
         else:
-            most_us = max(bound_us - self._spread_us, LEAST_PUSH_US)
+            law_us = throws_us(self._sleeves[sleeve], direction) - self._chance_us
+            most_us = max(min(bound_us - self._spread_us, law_us), LEAST_PUSH_US)
         first_us = min(self._by_sheet_us(direction, from_m), int(most_us)) + longer_us
         before = self._sleeves[sleeve].withstood.get((direction, in_gear))
         if before is None or before.from_m > abs(from_m) + PLACE_STEP_M:

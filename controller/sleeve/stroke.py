@@ -302,18 +302,29 @@ def rests_at_m(sleeve: DrivenSleeve, at_us: int, pulse: tuple[Switch, ...] = ())
 
 
 def may_be_thrown(sleeve: DrivenSleeve, direction: int) -> bool:
-    """Whether a sleeve on its way out of a gear's teeth may come near the opposite ones, where the
-    valve that pulled it shuts as late as it may by what is seen."""
+    """Whether a sleeve on its way to neutral may come near the opposite teeth, where the valve that
+    set it going shuts as late as it may by what is seen."""
     valve = valve_towards(direction)
     off = [one for one in sleeve.switches if one.valve == valve and not one.on]
-    is_pulled = abs(sleeve.start.state[0]) > sleeve.law.face_m
-    if not off or not is_pulled:
+    if not off:
         return False
     unknowns = sleeve.unknowns(sleeve.switches)
     unknowns[PARAMETERS + sleeve.switches.index(off[-1])] += LATE_SDS * sleeve.sd_of(off[-1])
     level_m = direction * (sleeve.law.face_m - NEAR_TEETH_M)
     way = sleeve.to_level(direction, level_m, off[-1].time_us + RESTS_US, unknowns)
     return way.crossed_us is not None
+
+
+def throws_us(sleeve: DrivenSleeve, direction: int) -> int:
+    """The shortest pulse that throws a sleeve which stands before a gear's teeth through neutral,
+    near the opposite ones."""
+    level_m, short_us, long_us = sleeve.law.face_m - NEAR_TEETH_M, 0, LONGEST_PULL_US
+    while long_us - short_us > PULL_STEP_US:
+        middle_us = (short_us + long_us) // 2
+        push = pulse_of(direction, sleeve.start.time_us, middle_us)
+        is_through = _expected_m(sleeve, direction, [*push]) > level_m
+        short_us, long_us = (short_us, middle_us) if is_through else (middle_us, long_us)
+    return short_us
 
 
 def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch]:
