@@ -254,6 +254,11 @@ class LashTrajectory:
         )
         return angle + (wait_s - inside) * speed, speed
 
+    def fastest_ahead(self, wait_s: float, share: float) -> float:
+        """The speed after a time that this share of the drivelines exceeds."""
+        at = min(max(round((self.since_s + wait_s) / STEP_S), 0), STEPS - 1)
+        return float(np.quantile(self._speed[at], 1.0 - share))
+
     def trajectories(self, waits_s: Vector, step_s: float, found: Vector) -> None:
         """Angle and speed at equal steps of time, the first after each of `waits_s` (m,), to found
         (m, 2, n). Before now and after the last step of the trajectory the speed is held."""

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.reference import LEARNED_SD_RAD, PhaseReferences
+from meshpoint.controller.models.backlash import LashTrajectory
 from meshpoint.controller.models.layshaft import (
     BrakeInput,
     LayshaftState,
@@ -161,6 +162,15 @@ class GearPredictor:
         bring down."""
         omega = self.layshaft_at(time_us, release_us).omega_rad_s
         return slip_rad_s(self.i_gear, omega, self.main.steady_omega_at(time_us))
+
+    def least_slip_rad_s(self, time_us: float, share: float) -> float:
+        """The slip at a time that it is below with this probability, by what is known of where the
+        main shaft lies in its driveline's backlash; where nothing is, `slip_rad_s`."""
+        swing, state = self.main.swing, self.layshaft_at(time_us, None)
+        if not isinstance(swing, LashTrajectory):
+            return self._slip(state)
+        fastest = swing.fastest_ahead((time_us - self.main.time_us) * US, share)
+        return slip_rad_s(self.i_gear, state.omega_rad_s, fastest)
 
     def swing_rad_s(self, time_us: float) -> float:
         """What the main shaft's swing adds to the slip at a time."""

@@ -32,6 +32,10 @@ WITHDRAW_US: Final = 4 * MS_IN_US
 """A firing nearer than this is not withdrawn: its valve could have opened before."""
 CONTACT_SHARES: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Contacts earlier and later than planned, in shares of what the data sheet says of the delay."""
+MOST_OUTSIDE: Final = 0.05
+"""A sleeve is fired where the slip at its contact is below the guard's window with no more than
+this probability: a main shaft that is about to meet a flank of its driveline's backlash may be far
+faster by then than is most probable."""
 RELEASE_HORIZON_US: Final = 90 * MS_IN_US
 """A release further ahead than this is not sent yet: the valve side accepts at most 100 ms."""
 
@@ -194,6 +198,8 @@ def _stays_in_window(context: ShiftContext, predictor: GearPredictor, plan: Plan
     its data sheet the slip is inside the guard's window, however the main shaft swings, and also if
     the layshaft falls no more once the sleeve is fired."""
     window, spread_us = context.settings.guard, context.sheet.sleeve.delay_limit_s * SECOND_US
+    if predictor.least_slip_rad_s(plan.contact_us, MOST_OUTSIDE) < window.slip_low_rad_s:
+        return False
     fired = predictor.steady_slip_rad_s(plan.fire_us)
     for share in CONTACT_SHARES:
         contact_us = plan.contact_us + share * spread_us

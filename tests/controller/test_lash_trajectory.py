@@ -102,6 +102,17 @@ def test_where_the_figures_would_make_an_angle_surer_than_bearings_let_it_be_it_
     assert trajectory.theta_sd_ahead(0.05) >= LEAST_SD_RAD
 
 
+@pytest.mark.parametrize("wait_s", [0.0, 0.045, 1.0])
+def test_one_driveline_in_twenty_is_faster_than_the_speed_said_for_that_share(
+    wait_s: float,
+) -> None:
+    """Nineteen of twenty turn amid their backlash, at 60.00 to 60.95 rad/s."""
+    trajectory = trajectory_of(turning([60.0 + 0.05 * k for k in range(20)] + [90.0]))
+    assert trajectory.fastest_ahead(wait_s, 0.05) == pytest.approx(60.95, abs=1e-6)
+    assert trajectory.fastest_ahead(wait_s, 0.0) == pytest.approx(90.0, abs=1e-6)
+    assert trajectory.fastest_ahead(wait_s, 0.5) == pytest.approx(60.5, abs=1e-6)
+
+
 def test_a_trajectory_goes_on_at_its_speed_before_its_begin_and_behind_its_end() -> None:
     trajectory, end_s = trajectory_of(turning([61.0] * 3)), STEP_S * (STEPS - 1)
     assert trajectory.ahead(-0.01) == pytest.approx((-0.61, 61.0), abs=1e-9)
