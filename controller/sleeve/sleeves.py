@@ -38,8 +38,8 @@ from meshpoint.controller.sleeve.stroke import (
     pulse_to_neutral_us,
     rests_at_m,
     stops,
-    throws_us,
     to_contact,
+    withstands_us,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
@@ -111,8 +111,6 @@ class Sleeves:
         """From the valve's opening to contact from neutral, by the data sheet."""
         self._spread_us = SECOND_US * (sleeve.delay_limit_s + sleeve.valve_delay_tolerance_s)
         """By so much longer than its current a pulse may be, its valve late to shut."""
-        self._chance_us = round(2.0 * SECOND_US * sleeve.delay_limit_s)
-        """The same of one whose delays are learned: early to open and late to shut."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
@@ -337,8 +335,7 @@ class Sleeves:
             return None
         if goes * rests_m >= NEAR_NEUTRAL_M:  # a longer pulse would set it going the other way
             return self._pulse(sleeve, at_us, -goes, LONGEST_PULSE_US, sure_sds=0.0)
-        if may_be_thrown(tracked, goes):
-            # By the time that it is seen to be thrown through, a brake comes too late.
+        if may_be_thrown(tracked, goes):  # once that is seen, a brake comes too late
             return Pulse(_VALVES[sleeve, valve], at_us, at_us + SHORTEST_PULSE_US, rests_m)
         return None
 
@@ -370,17 +367,17 @@ class Sleeves:
     ) -> int:
         """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
         In its gear and out of it are two things: torque on the teeth holds it there."""
-        in_gear = abs(from_m) > self._law.in_gear_m
+        tracked, in_gear = self._sleeves[sleeve], abs(from_m) > self._law.in_gear_m
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
-        is_taught = self._sleeves[sleeve].movements >= TAUGHT
+        is_taught = tracked.movements >= TAUGHT
         if in_gear:
             most_us = max(bound_us, REACT_US) * (1.0 if is_taught else FIRST_SHARE)
         else:
-            law_us = throws_us(self._sleeves[sleeve], direction) - self._chance_us
-            most_us = max(min(bound_us - self._spread_us, law_us), LEAST_PUSH_US)
+            by_law_us = withstands_us(tracked, direction)
+            most_us = max(min(bound_us - self._spread_us, by_law_us), LEAST_PUSH_US)
         first_us = min(self._by_sheet_us(direction, from_m), int(most_us)) + longer_us
-        before = self._sleeves[sleeve].withstood.get((direction, in_gear))
+        before = tracked.withstood.get((direction, in_gear))
         if before is None or before.from_m > abs(from_m) + PLACE_STEP_M:
             return first_us
         return max(first_us, before.long_us + (A_LITTLE_US if is_taught or not in_gear else 0))
