@@ -40,6 +40,7 @@ from meshpoint.replays.replay import LogReplay
 from meshpoint.replays.replay_rows import ReplayRows
 from meshpoint.replays.session import Session, Verification
 from meshpoint.report.judged_rows import JudgedRow
+from meshpoint.results.monitor import Monitor, RowMonitor
 from meshpoint.results.rows import ShiftRow, Summary, summarise
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Preset
@@ -89,12 +90,15 @@ def simulate(
     settings: PathLike | ControllerSettings | None = None,
     log: PathLike | None = None,
     on_shift: Callable[[ShiftRow], None] | None = None,
+    score_estimators: bool = True,
 ) -> Simulation:
     """Shifts in virtual time, as `meshpoint simulate`: the same arguments give the same result.
 
     pairs: a schedule's name (`upshifts`, `main-box`, `mixed`), or ((8, 10), (10, 12)).
     log: records the bus, with the run header beside it.
     on_shift: called with each record as it comes.
+    score_estimators: compare the estimators with the encoder, which takes a quarter longer;
+        without it, `estimation` is empty.
 
     The others are those of `Bench`. TableError and its like name what cannot be used.
     """
@@ -102,17 +106,18 @@ def simulate(
     setup = setup_of(gearbox, preset, seed, as_built, faults, chosen, shifts, pairs)
     check_preset(setup.pairs, setup.sheet, setup.preset)
     prepare_once(thesis=setup.preset is Preset.THESIS)
+    monitor = (Monitor if score_estimators else RowMonitor)(setup.sheet, setup.settings)
     with ExitStack() as stack:
-        writer = None
-        if log is not None:
-            writer = open_recording(log, setup.header)
-            stack.enter_context(writer)
+        recording = None if log is None else open_recording(log, setup.header)
+        if recording is not None:
+            stack.enter_context(recording)
 
         def on_frame(time_us: int, frame: Frame) -> None:
-            if writer is not None:
-                writer.write(time_us / 1e6, frame)
+            if recording is not None:
+                recording.write(time_us / 1e6, frame)
 
-        result = run_simulation(setup, on_frame, on_shift)
+        heard = None if recording is None else on_frame
+        result = run_simulation(setup, heard, on_shift, monitor=monitor)
     return Simulation(setup.settings.strategy_name, result)
 
 

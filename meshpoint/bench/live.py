@@ -46,7 +46,7 @@ from meshpoint.controller.run import node as controller_node
 from meshpoint.controller.run.node import run_controller
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame
-from meshpoint.results.monitor import Monitor
+from meshpoint.results.monitor import Monitor, RowMonitor
 from meshpoint.rig_sim import node as rig_node
 from meshpoint.rig_sim.node import run_rig
 from meshpoint.rig_sim.settings import RigSettings
@@ -106,7 +106,7 @@ class LiveRun:
 class LiveResult:
     """What the bus showed."""
 
-    monitor: Monitor
+    monitor: RowMonitor
     bench: BenchCore
     frames: int = 0
     heard: Heard = field(default_factory=Heard)
@@ -204,7 +204,7 @@ async def run_live(run: LiveRun) -> LiveResult:
 
 @asynccontextmanager
 async def live_session(
-    run: LiveRun, bench: BenchCore, monitor: Monitor | None = None
+    run: LiveRun, bench: BenchCore, monitor: RowMonitor | None = None
 ) -> AsyncIterator[LiveSession]:
     """Starts the nodes, waits until they are heard, and has the bench begin; at the end all nodes
     have ended, with their valves off. RunError when they do not start."""

@@ -25,16 +25,18 @@ from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.run.kept import Keep
 from meshpoint.controller.run.node import CalibrationKeeper
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.messages import ShiftOutcome
+from meshpoint.dbc.messages import ETC1, ControllerEstimates, ReferenceEncoder, ShiftOutcome
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.results.kinematic_bound import kinematic_bound_ms
-from meshpoint.results.monitor import Monitor
+from meshpoint.results.monitor import RowMonitor
 from meshpoint.results.rows import ShiftRow, summarise
 from meshpoint.rig_sim.core import RigCore
 
 LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
 """Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""
 LIMIT_US_PER_SHIFT: Final = 30_000_000
+FOR_LOGS: Final = (ControllerEstimates, ETC1, ReferenceEncoder)
+"""What these say no node acts on: the engine listens to ETC1, whatever it says."""
 
 
 @dataclass
@@ -43,6 +45,7 @@ class Result:
 
     rows: list[ShiftRow]
     estimation: dict[str, Any]
+    """Figures by estimator; empty where none was scored."""
     provenance: dict[str, Any]
     simulated_s: float
     bus_load: float
@@ -140,6 +143,15 @@ def _unpacker(wire: WireProfile) -> Callable[[Frame], Iterable[Frame]]:
     return bench_unpacker().take
 
 
+def _skip_unread(setup: Setup, monitor: RowMonitor, core: ControllerCore, rig: RigCore) -> None:
+    """Nobody but this monitor looks at the bus: what only logs keep is not made."""
+    plain = setup.wire is WireProfile.FD and setup.firmware is None
+    if plain and setup.bus_load is None:  # else a frame's bits are its length
+        unread = frozenset(FOR_LOGS).difference(monitor.reads)
+        core.skip_unsubscribed(unread)
+        rig.skip_unsubscribed(unread)
+
+
 def _written_first(
     records: Records, unwritten: list[str], is_over: Callable[[], bool]
 ) -> Callable[[], bool]:
@@ -161,7 +173,7 @@ def simulate(
     on_frame: Callable[[int, Frame], None] | None = None,
     on_row: Callable[[ShiftRow], None] | None = None,
     on_event: Callable[[int, int, str], None] | None = None,
-    monitor: Monitor | None = None,
+    monitor: RowMonitor | None = None,
     keep: Keep | None = None,
     stop: Callable[[], bool] = lambda: False,
     record: Path | None = None,
@@ -170,16 +182,18 @@ def simulate(
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
-    `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
-    the controller knows more, and at the end; `stop`, looked at after every step, ends it early.
-    `record`: the folder of the run header, where a classic run's steps are written to be verified
-    by. `apart`: runs the rig in another process, with the same frames. `on_step` is called after
-    each step of the controller with what that sends."""
-    monitor = monitor or Monitor(setup.sheet, setup.settings)
+    `monitor`: one of the caller's making, which may score the estimators. `keep` gets the
+    calibration whenever the controller knows more, and at the end; `stop`, looked at after every
+    step, ends it early. `record`: the folder of the run header, where a classic run's steps are
+    written to be verified by. `apart`: runs the rig in another process, with the same frames.
+    `on_step` is called after each step of the controller with what that sends."""
+    monitor = monitor or RowMonitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
     rig = rig_of(setup)
     core = ControllerCore(setup.header)
+    if all(each is None for each in (on_frame, on_step, record, apart)):
+        _skip_unread(setup, monitor, core, rig)
     controller: Core = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
     if on_step is not None:
         controller = _Watched(controller, lambda step: on_step(core, step.frames))
@@ -218,7 +232,7 @@ def simulate(
     unwritten += records.close()
     return Result(
         rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),
-        estimation=monitor.estimation.figures(),
+        estimation=monitor.scores(),
         provenance=provenance(setup.sheet, setup.seed, setup.preset, setup.profile),
         simulated_s=time.now_us / 1e6,
         bus_load=time.bus.busy_us / max(1, time.now_us),

@@ -1,9 +1,9 @@
-"""Everything a bench reads off the bus while a run goes on: rows, estimation, traces, counts."""
+"""What a bench reads off the bus while a run goes on: rows, and how well the estimators did."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
@@ -28,11 +28,13 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.results.estimation import EstimationScore, Sample
 from meshpoint.results.rows import RowCollector
 
+READ_FOR_ROWS: Final = (ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome)
+"""What rows need."""
 READ_AT_REST: Final = (
-    EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
-    ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome,
+    *READ_FOR_ROWS, EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors,
+    ValveCommand,
 )  # fmt: skip
-"""What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
+"""What estimation needs besides: less than half of the bus; the rest stays undecoded. Edges are
 needed between shifts too, so that the tooth count goes on."""
 MONITORED: Final = (*READ_AT_REST, ReferenceEncoder)
 
@@ -42,52 +44,22 @@ def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
     return frozenset(CODECS[kind.__name__].spec.can_id for kind in kinds)
 
 
-READ_FOR_ROWS: Final = identifiers(
-    (ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome)
-)
+class RowMonitor:
+    """Decodes what the rows of shifts need, the rig's truth included."""
 
+    reads: tuple[type[Message], ...] = READ_FOR_ROWS
+    """At one time or another."""
 
-class Monitor:
-    """Decodes the whole bus, truth included, and feeds the collectors."""
-
-    def __init__(
-        self,
-        sheet: GearboxSheet,
-        settings: ControllerSettings,
-        also: tuple[type[Message], ...] = (),
-        on_sample: Callable[[Sample], None] | None = None,
-    ) -> None:
-        """`also`: further messages that `take` should return; `on_sample` sees every instant at
-        which the estimators are scored."""
+    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         aim_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self.rows = RowCollector(sheet, aim_rad, settings)
-        self.estimation = EstimationScore(sheet, settings, on_sample)
         self.status: ControllerStatus | None = None
-        self._read = identifiers(MONITORED + also)
-        self._read_at_rest = identifiers(READ_AT_REST + also)
+        self._wanted = identifiers(READ_FOR_ROWS)
         self._receiver = Receiver(*Node)
 
     def take(self, frame: Frame) -> Message | None:
         """One frame in bus order; returns the message where there is one."""
-        wanted = self._read if self.estimation.active else self._read_at_rest
-        if frame.can_id not in wanted:
-            return None
-        message = self._receiver.receive(frame).message
-        if message is None:
-            return None
-        if isinstance(message, ControllerStatus):
-            self.status = message
-        self.rows.take(message)
-        self.estimation.take(message)
-        return message
-
-
-class RowMonitor(Monitor):
-    """Rows and status alone. The estimators are not scored: that costs more than all else here."""
-
-    def take(self, frame: Frame) -> Message | None:
-        """One frame in bus order; returns the message where there is one."""
-        if frame.can_id not in READ_FOR_ROWS:
+        if frame.can_id not in self._wanted:
             return None
         message = self._receiver.receive(frame).message
         if isinstance(message, ControllerStatus):
@@ -95,3 +67,37 @@ class RowMonitor(Monitor):
         if message is not None:
             self.rows.take(message)
         return message
+
+    def scores(self) -> dict[str, Any]:
+        """Figures by estimator; empty where none is scored."""
+        return {}
+
+
+class Monitor(RowMonitor):
+    """Scores the estimators as well, which takes longer than all else here."""
+
+    reads = MONITORED
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        on_sample: Callable[[Sample], None] | None = None,
+    ) -> None:
+        """`on_sample` sees every instant at which the estimators are scored."""
+        super().__init__(sheet, settings)
+        self.estimation = EstimationScore(sheet, settings, on_sample)
+        self._read, self._read_at_rest = identifiers(MONITORED), identifiers(READ_AT_REST)
+        self._wanted = self._read_at_rest
+
+    def take(self, frame: Frame) -> Message | None:
+        """One frame in bus order; returns the message where there is one."""
+        message = super().take(frame)
+        if message is not None:
+            self.estimation.take(message)
+            self._wanted = self._read if self.estimation.active else self._read_at_rest
+        return message
+
+    def scores(self) -> dict[str, Any]:
+        """Figures by estimator."""
+        return self.estimation.figures()

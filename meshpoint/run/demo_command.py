@@ -128,7 +128,7 @@ def run(namespace: argparse.Namespace) -> int:
             name: {
                 "shifts": [row.to_json() for row in result.monitor.rows.rows],
                 "summary": summarise(name, result.monitor.rows.rows).to_json(),
-                "estimation": result.monitor.estimation.figures(),
+                "estimation": result.monitor.scores(),
                 "frames": result.frames,
                 "verification": {
                     "verdict": sessions[name].verdict.value,

@@ -32,7 +32,7 @@ def write_demo_report(
     runs, hashes = [], {}
     for name, live in lives.items():
         notes = [f"{name}: replay of the log is {sessions[name]}"]
-        notes += estimator_notes(name, results[name].monitor.estimation.figures())
+        notes += estimator_notes(name, results[name].monitor.scores())
         runs.append(demo_run(live, name, notes, beliefs[name]))
         hashes[f"run header, {name}"] = f"{live.header.run_hash:016x}"
     first = next(iter(lives.values()))

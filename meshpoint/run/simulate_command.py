@@ -48,6 +48,7 @@ from meshpoint.results.limits import (
     markdown,
     parse_limit,
 )
+from meshpoint.results.monitor import Monitor, RowMonitor
 from meshpoint.results.output import (
     complain,
     complain_of_strategy,
@@ -93,6 +94,13 @@ def add_parser(commands: Any) -> None:
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
+    parser.add_argument(
+        "--score-estimators",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="compare the three layshaft estimators with the encoder on this run's edges, which "
+        "takes a quarter longer (default: where --json or --report shows it)",
+    )
     _add_limits(parser)
     parser.set_defaults(run=run)
 
@@ -175,6 +183,14 @@ def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
     return RigApart(setup, namespace.silkit)
 
 
+def _monitor(namespace: argparse.Namespace, setup: Setup) -> RowMonitor:
+    """What looks at the bus; it compares the estimators as asked, else where that is shown."""
+    is_scored = namespace.score_estimators
+    if is_scored is None:
+        is_scored = namespace.json is not None or namespace.report is not None
+    return (Monitor if is_scored else RowMonitor)(setup.sheet, setup.settings)
+
+
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
     sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
@@ -215,8 +231,9 @@ def run(namespace: argparse.Namespace) -> int:
         stop = stack.enter_context(interruptible())
         result = simulate(
             setup,
-            on_frame,
+            None if log is collector is None else on_frame,
             on_row,
+            monitor=_monitor(namespace, setup),
             keep=_keep(writer, unwritten),
             stop=stop,
             record=None if log is None else log.path.parent,
@@ -312,6 +329,8 @@ def _show(out: Console, setup: Setup, result: Result) -> None:
         out.print(line)
     for line in estimator_notes(name, result.estimation):
         out.print(line)
+    if not result.estimation:
+        out.print("Estimators were not compared with the encoder: --score-estimators.")
     if setup.wire is WireProfile.CLASSIC:
         from meshpoint.bus.classic.traffic import load_words
 
