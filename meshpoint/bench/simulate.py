@@ -25,7 +25,7 @@ from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.run.kept import Keep
 from meshpoint.controller.run.node import CalibrationKeeper
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.messages import ETC1, ControllerEstimates, ReferenceEncoder, ShiftOutcome
+from meshpoint.dbc.messages import ETC1, ControllerEstimates, ShiftOutcome
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.results.monitor import RowMonitor
@@ -35,7 +35,7 @@ from meshpoint.rig_sim.core import RigCore
 LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
 """Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""
 LIMIT_US_PER_SHIFT: Final = 30_000_000
-FOR_LOGS: Final = (ControllerEstimates, ETC1, ReferenceEncoder)
+FOR_LOGS: Final = (ControllerEstimates, ETC1)
 """What these say no node acts on: the engine listens to ETC1, whatever it says."""
 
 
@@ -143,15 +143,6 @@ def _unpacker(wire: WireProfile) -> Callable[[Frame], Iterable[Frame]]:
     return bench_unpacker().take
 
 
-def _skip_unread(setup: Setup, monitor: RowMonitor, core: ControllerCore, rig: RigCore) -> None:
-    """Nobody but this monitor looks at the bus: what only logs keep is not made."""
-    plain = setup.wire is WireProfile.FD and setup.firmware is None
-    if plain and setup.bus_load is None:  # else a frame's bits are its length
-        unread = frozenset(FOR_LOGS).difference(monitor.reads)
-        core.skip_unsubscribed(unread)
-        rig.skip_unsubscribed(unread)
-
-
 def _written_first(
     records: Records, unwritten: list[str], is_over: Callable[[], bool]
 ) -> Callable[[], bool]:
@@ -192,8 +183,9 @@ def simulate(
     operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
     rig = rig_of(setup)
     core = ControllerCore(setup.header)
-    if all(each is None for each in (on_frame, on_step, record, apart)):
-        _skip_unread(setup, monitor, core, rig)
+    is_plain = setup.wire is WireProfile.FD and setup.bus_load is None  # else content is length
+    if is_plain and on_frame is on_step is record is apart is None:
+        core.skip_unsubscribed(FOR_LOGS)
     controller: Core = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
     if on_step is not None:
         controller = _Watched(controller, lambda step: on_step(core, step.frames))

@@ -17,7 +17,7 @@ from meshpoint.bench.bench import BenchCore
 from meshpoint.bench.bench_builder import Onlooker, virtual_bench
 from meshpoint.bench.pauses import Pauses, pauses_of
 from meshpoint.bench.setup import Setup
-from meshpoint.bench.simulate import LIMIT_US_PER_SHIFT
+from meshpoint.bench.simulate import FOR_LOGS, LIMIT_US_PER_SHIFT
 from meshpoint.bus.profile import WireProfile
 from meshpoint.campaigns.draw import Draw
 from meshpoint.campaigns.scorer import NO_STEP_US, SCORED_IDS, Scorer
@@ -28,12 +28,7 @@ from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.messages import (
-    ETC1,
-    ControllerEstimates,
-    ReferenceEncoder,
-    ReferencePhase,
-)
+from meshpoint.dbc.messages import ReferenceEncoder, ReferencePhase
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.results.rows import LOCK_WAIT_US, ShiftRow
 from meshpoint.rig_sim.core import RigCore
@@ -50,9 +45,8 @@ look, and the clutch closes meanwhile, which it would else do in the old gear.""
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
-UNREAD: Final = frozenset((ControllerEstimates, ETC1, ReferenceEncoder, ReferencePhase))
-"""What these say nobody acts on here, they are for logs: the engine listens to ETC1, whatever it
-says."""
+UNREAD: Final = frozenset((*FOR_LOGS, ReferenceEncoder, ReferencePhase))
+"""What these say nobody acts on here."""
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
 

@@ -47,9 +47,6 @@ def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
 class RowMonitor:
     """Decodes what the rows of shifts need, the rig's truth included."""
 
-    reads: tuple[type[Message], ...] = READ_FOR_ROWS
-    """At one time or another."""
-
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         aim_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self.rows = RowCollector(sheet, aim_rad, settings)
@@ -75,8 +72,6 @@ class RowMonitor:
 
 class Monitor(RowMonitor):
     """Scores the estimators as well, which takes longer than all else here."""
-
-    reads = MONITORED
 
     def __init__(
         self,
