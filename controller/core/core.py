@@ -23,7 +23,6 @@ from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.clock import ClockProbe, RefusedLead, StepTiming
 from meshpoint.controller.measure.inputs import ShaftSpeedMeter, ShaftSpeeds, StepInputs
-from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
@@ -98,8 +97,7 @@ class ControllerCore:
         self._dropped = 0
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
-        brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self._observer = Observer(sheet, settings, brake, settings.estimator)
+        self._observer = Observer(sheet, settings, settings.estimator)
         timing = self._timing_of_valves = ValveTiming(settings.valve_timing)
         self._board = ValveBoard(timing)
         self._probe = ClockProbe()

@@ -59,13 +59,13 @@ class Observer:
         self,
         sheet: GearboxSheet,
         settings: ControllerSettings,
-        brake: BrakeInput,
         estimator: Estimator,
     ) -> None:
         wheels, tuning = sheet.wheels, settings.crossing_filter.of(sheet)
         self._sheet = sheet
         self._tuning = tuning
-        self._brake_input = brake
+        brake = self.brake_input = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
+        """The brake valve's switches, as commanded, with their delays as learned."""
         self.clock = SensorClockEstimate()
         self._sensors_stamp: int | None = None
         self.view = GearboxView(sheet)
@@ -170,7 +170,7 @@ class Observer:
         if self._learners is not None:
             layshaft, _ = self._learners
             law = self.brake.law()
-            self._brake_input.set_delays(self.brake.off_delay_us, self.brake.on_delay_us)
+            self.brake_input.set_delays(self.brake.off_delay_us, self.brake.on_delay_us)
             disturbance, friction_nms = layshaft.disturbance, layshaft.friction.value
         motion = free_motion(sheet, split, law, self._tuning, disturbance, friction_nms)
         self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
@@ -382,12 +382,12 @@ class Observer:
     def brake_delays_us(self) -> tuple[int, int]:
         """From the brake valve's switch off, and on, to the pressure's first reaction, as
         learned."""
-        return self._brake_input.off_delay_us, self._brake_input.on_delay_us
+        return self.brake_input.off_delay_us, self.brake_input.on_delay_us
 
     def take_commands(self, brake: BrakeInput, changes: list[MeshChange]) -> None:
         """What a step has commanded of the brake's valve, and which gear comes into mesh or leaves
         it."""
-        self._brake_input.follow(brake)
+        self.brake_input.follow(brake)
         for change in changes:
             self.references.take(change)
 

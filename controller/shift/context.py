@@ -82,8 +82,12 @@ OFF: Final = SwitchCommand(-(1 << 62), False, False)
 class ValveBoard:
     """The present command of each valve."""
 
-    def __init__(self, timing: ValveTiming) -> None:
-        self._timing = timing
+    def __init__(self, timing: ValveTiming, wire_us: int = 0) -> None:
+        """wire_us: `Timing.wire_us`."""
+        self.keeps_times = timing is ValveTiming.SCHEDULED
+        """Whether the valve side switches at the times that it is told."""
+        self.ahead_us = 0 if self.keeps_times else wire_us
+        """By this much sooner a switch is sent."""
         self._commands: dict[ValveName, SwitchCommand] = dict.fromkeys(ValveName, OFF)
         self._message: ValveCommand | None = None
         self._message_until_us = 0
@@ -131,19 +135,21 @@ class ValveBoard:
             sleeves.expected(valve, switches)
 
     def next_switch_us(self, now_us: int) -> int | None:
-        """The next sensor time at which the valve side needs a frame before the next tick; else
+        """After `now_us`, the next sensor time at which the valve side needs a frame before the next tick; else
         None. Hardware that cannot schedule needs one at each switch; the other one at a pulse's
         beginning, for its end: on a tick that is a little late that would come too late."""
         commands = self._commands.values()
-        if self._timing is ValveTiming.SCHEDULED:
+        if self.keeps_times:
             times = [c.time_us for c in commands if c.until_us < FOREVER_US]
         else:
             times = [t for c in commands for t in (c.time_us, c.until_us)]
-        next_us = min((t for t in times if t > now_us), default=FOREVER_US)
-        return None if next_us == FOREVER_US else next_us
+        sent_us = now_us + self.ahead_us
+        next_us = min((t for t in times if t > sent_us), default=FOREVER_US)
+        return None if next_us == FOREVER_US else next_us - self.ahead_us
 
     def message(self, now_us: int) -> ValveCommand:
         """The command frame's content at a sensor time; kept until something changes."""
+        now_us += self.ahead_us
         if self._message is None or now_us >= self._message_until_us:
             self._message = self._make_message(now_us)
             self._message_until_us = self._unchanged_until_us(now_us)
@@ -156,7 +162,7 @@ class ValveBoard:
 
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message's content changes although no new command is given."""
-        held_us = 0 if self._timing is ValveTiming.IMMEDIATE else OFF_HELD_US + 1
+        held_us = OFF_HELD_US + 1 if self.keeps_times else 0
         times = [
             switch_us + held_us
             for c in self._commands.values()
@@ -165,7 +171,7 @@ class ValveBoard:
         return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)
 
     def _action(self, command: SwitchCommand, now_us: int) -> tuple[ValveAction, int]:
-        if self._timing is ValveTiming.IMMEDIATE:
+        if not self.keeps_times:
             return (ValveAction.ON_NOW if command.at(now_us) else ValveAction.OFF_NOW), 0
         if command.until_us < FOREVER_US and now_us >= command.time_us:
             command = SwitchCommand(command.until_us, False, True)
@@ -193,8 +199,8 @@ class ShiftContext:
         self.sheet = sheet
         self.settings = settings
         self.board = board
-        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        """The brake valve's switches, as commanded; its delays are the estimate's."""
+        self.brake = BrakeInput(0)
+        """The brake valve's switches, as commanded; each step brings its delays as estimated."""
         self.references = references
         """Read here, never written."""
         self.mesh_changes: list[MeshChange] = []

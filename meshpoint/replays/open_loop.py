@@ -193,7 +193,8 @@ class OpenLoop:
         known = core.observer.brake
         if self._follower is not None:
             seen = self._follower.step(self._consumed, now, core.sequence, seen)
-            brake, known = self._follower.brake, self._follower.observer.brake
+            observer = self._follower.observer
+            brake, known = observer.brake_input, observer.brake
         if branch is None:
             return
         branch.trajectory.take(seen, core.running_shift, brake)

@@ -17,7 +17,6 @@ from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.clock import ClockProbe
 from meshpoint.controller.measure.inputs import ShaftSpeedMeter, StepInputs
-from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -33,8 +32,7 @@ class ReplayEstimator:
     def __init__(self, header: RunHeader) -> None:
         sheet, settings = header.sheet, header.settings
         self.header = header
-        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self.observer = Observer(sheet, settings, self.brake, settings.estimator)
+        self.observer = Observer(sheet, settings, settings.estimator)
         self._speed_meter = ShaftSpeedMeter(sheet)
         self._speeds = self._speed_meter.take(StepInputs(), 0)
         self.sleeves = Sleeves(sheet)
@@ -100,7 +98,7 @@ class ReplayEstimator:
 
     def _learn_from(self, first: ShiftSequence, now_us: int) -> None:
         """The first controller's valve commands and its lock."""
-        self.brake.follow(first.brake)
+        self.observer.take_commands(first.brake, [])
         first.board.publish_to(self.sleeves, now_us)
         watched = first.references.watched
         if watched is not None and watched is not self._watched:

@@ -56,8 +56,7 @@ class _Score:
     def __init__(
         self, sheet: GearboxSheet, settings: ControllerSettings, estimator: Estimator
     ) -> None:
-        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self.observer = Observer(sheet, settings, self.brake, estimator)
+        self.observer = Observer(sheet, settings, estimator)
         self._pitch_rad = sheet.wheels.layshaft.pitch_rad
         self._angle_sum = self._offset_sum = self._speed_sum = 0.0
         self._count = 0
@@ -150,8 +149,9 @@ class EstimationScore:
         time_us = now_us
         if command.brake_action in SCHEDULED:
             time_us = unwrap(command.brake_time_us, now_us)
+        is_on = command.brake_action in SWITCHED_ON
         for score in self._scores.values():
-            score.brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
+            score.observer.brake_input.schedule(time_us, is_on, now_us)
 
     @property
     def observer(self) -> Observer:
@@ -199,7 +199,7 @@ class EstimationScore:
     @property
     def brake(self) -> BrakeInput:
         """The brake valve's switches as commanded."""
-        return self._learning.brake
+        return self.observer.brake_input
 
     def figures(self) -> dict[str, Any]:
         """Figures by estimator."""

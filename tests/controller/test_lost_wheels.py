@@ -11,7 +11,6 @@ from wheel import capture
 
 from meshpoint.controller.estimate.observer import Observer
 from meshpoint.controller.measure.inputs import StepInputs
-from meshpoint.controller.models.layshaft import BrakeInput
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     EdgesLayshaftFall,
@@ -38,8 +37,7 @@ class Gearbox:
     """Two shafts that turn evenly, a tooth a millisecond, and what the observer makes of them."""
 
     def __init__(self, estimator: Estimator) -> None:
-        brake = BrakeInput(round(1e6 * SHEET.brake.valve_delay_s))
-        self.observer = Observer(SHEET, ControllerSettings(), brake, estimator)
+        self.observer = Observer(SHEET, ControllerSettings(), estimator)
         self.edges = {name: [BEGIN_US + TOOTH_US * k for k in range(-50, 900)] for name in SHAFTS}
         self.now_us, self.events = BEGIN_US, list[str]()
         self.ahead_us = self.late_us = 0
