@@ -91,19 +91,16 @@ class ControllerCore:
     def __init__(self, header: RunHeader) -> None:
         sheet, settings = header.sheet, header.settings
         self.header = header
-        self._settings = settings
         self._inbox: list[Frame] = []
         self._heard: list[Frame] = []
         self._dropped = 0
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
         self._observer = Observer(sheet, settings, settings.estimator)
-        timing = self._timing_of_valves = ValveTiming(settings.valve_timing)
-        self._board = ValveBoard(timing)
+        self._board = ValveBoard(ValveTiming(settings.valve_timing), settings.timing.wire_us)
         self._probe = ClockProbe()
         self._refused = RefusedLead(settings.timing.tick_us)
         self._timing = StepTiming(settings.timing.tick_us)
-        self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, self._observer.references, header.armed
         )
@@ -170,7 +167,6 @@ class ControllerCore:
         """Other engagement settings from the next step on; what was learned stays. Call it between
         shifts; the estimators keep the settings they were built with. StrategyError where a user's
         own strategy cannot be made from them: the one before goes on."""
-        self._settings = settings
         self._sequence.change_settings(settings)
 
     def note_external_engagement(self, gear: MainGear) -> None:
@@ -188,13 +184,13 @@ class ControllerCore:
     ) -> None:
         """Goes on with these estimates and the header's data sheet and settings: they are this
         controller's from here on. The guard stays the one of the own data sheet. For replays."""
-        self.header, self._settings = header, header.settings
+        self.header = header
         self._observer, self._speed_meter = observer, speed_meter
         sequence = self._sequence
         sequence.sheet, sequence.references = header.sheet, observer.references
         sequence.sleeves = sleeves
-        sequence.change_settings(self._settings)
-        self._reporter = Reporter(self.header, self._observer, sequence)
+        sequence.change_settings(header.settings)
+        self._reporter = Reporter(header, observer, sequence)
 
     def take_predictor_from(self, source: PredictorSource) -> None:
         """From now on decisions use this source's predictions instead of the estimates. For studies
@@ -254,7 +250,7 @@ class ControllerCore:
     def _is_for_an_end(self, now_us: int) -> bool:
         """Whether this step is there for the end of a pulse alone: it takes nothing in."""
         is_asked = self._is_tick(now_us) or self._probe.is_due
-        return not is_asked and self._timing_of_valves is ValveTiming.SCHEDULED
+        return not is_asked and self._board.keeps_times
 
     def _later(self, snapshot: StepSnapshot, now_us: int) -> StepSnapshot:
         """The same as it is known at a later moment."""
@@ -355,8 +351,8 @@ class ControllerCore:
     def _lead_us(self) -> int:
         """The least lead of an activation; a step's own frames must be through before the moment of
         a command that cannot be scheduled."""
-        lead_us = self._settings.timing.lead_us + self._refused.more_us
-        return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
+        lead_us = self._sequence.settings.timing.lead_us + self._refused.more_us
+        return max(lead_us, FRAME_WAIT_US) if self._board.ahead_us else lead_us
 
     def _lost(self, sensor_us: int, speeds: ShaftSpeeds) -> FaultCode:
         """The most serious fault among inputs that a shift needs and that are missing or
@@ -413,7 +409,7 @@ class ControllerCore:
         self._decided = decided
 
     def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
-        valves = self._board.message(snapshot.now_us + self._ahead_us)
+        valves = self._board.message(snapshot.now_us)
         return self._guarded.frames(valves, self._heard, now_us, snapshot, events)
 
     def _is_tick(self, now_us: int) -> bool:
@@ -421,16 +417,15 @@ class ControllerCore:
         return self._due_us is None or now_us >= self._due_us
 
     def _plan_next_step(self, now_us: int, sensor_us: int) -> None:
-        tick_us = self._settings.timing.tick_us
+        tick_us = self._sequence.tick_us
         due_us = self._due_us if self._due_us is not None else now_us
         if self._is_tick(now_us):
             due_us += tick_us * (1 + (now_us - due_us) // tick_us)
             due_us = max(now_us + 1, due_us - self._timing.sooner_us)
-        sent_us = sensor_us + self._ahead_us
-        switch_us = self._board.next_switch_us(sent_us)
-        self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)
+        switch_us = self._board.next_switch_us(sensor_us)
+        self._wake_us = None if switch_us is None else now_us + switch_us - sensor_us
         # Of hardware that cannot schedule, which a frame's delay makes late.
-        moment_us = None if self._timing_of_valves is ValveTiming.SCHEDULED else self._wake_us
+        moment_us = None if self._board.keeps_times else self._wake_us
         if moment_us is not None and due_us < moment_us < due_us + FRAME_WAIT_US:
             # The tick's own frames would still stand before the command: leave this one out.
             due_us += tick_us

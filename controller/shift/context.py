@@ -135,9 +135,9 @@ class ValveBoard:
             sleeves.expected(valve, switches)
 
     def next_switch_us(self, now_us: int) -> int | None:
-        """After `now_us`, the next sensor time at which the valve side needs a frame before the next tick; else
-        None. Hardware that cannot schedule needs one at each switch; the other one at a pulse's
-        beginning, for its end: on a tick that is a little late that would come too late."""
+        """The first sensor time after this one at which the valve side needs a frame before the next
+        tick; else None. Hardware that cannot schedule needs one at each switch; the other one at a
+        pulse's beginning, for its end: on a tick that is a little late that would come too late."""
         commands = self._commands.values()
         if self.keeps_times:
             times = [c.time_us for c in commands if c.until_us < FOREVER_US]
