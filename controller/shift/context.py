@@ -85,7 +85,7 @@ class ValveBoard:
     def __init__(self, timing: ValveTiming, wire_us: int = 0) -> None:
         """wire_us: `Timing.wire_us`."""
         self.keeps_times = timing is ValveTiming.SCHEDULED
-        """Whether the valve side switches at the times that it is told."""
+        """Whether the valve side switches at a command's own time."""
         self.ahead_us = 0 if self.keeps_times else wire_us
         """By this much sooner a switch is sent."""
         self._commands: dict[ValveName, SwitchCommand] = dict.fromkeys(ValveName, OFF)
@@ -135,9 +135,9 @@ class ValveBoard:
             sleeves.expected(valve, switches)
 
     def next_switch_us(self, now_us: int) -> int | None:
-        """The first sensor time after this one at which the valve side needs a frame before the next
-        tick; else None. Hardware that cannot schedule needs one at each switch; the other one at a
-        pulse's beginning, for its end: on a tick that is a little late that would come too late."""
+        """The first sensor time after this one at which the valve side needs a frame before the
+        next tick; else None. Hardware that cannot schedule needs one at each switch; the other one
+        at a pulse's beginning, for its end: on a tick that is a little late that would be late."""
         commands = self._commands.values()
         if self.keeps_times:
             times = [c.time_us for c in commands if c.until_us < FOREVER_US]

@@ -184,7 +184,7 @@ def simulate(
     rig = rig_of(setup)
     core = ControllerCore(setup.header)
     is_plain = setup.wire is WireProfile.FD and setup.bus_load is None  # else content is length
-    if is_plain and on_frame is on_step is record is apart is None:
+    if is_plain and not any((on_frame, on_step, record, apart)):
         core.skip_unsubscribed(FOR_LOGS)
     controller: Core = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
     if on_step is not None:

@@ -231,7 +231,7 @@ def run(namespace: argparse.Namespace) -> int:
         stop = stack.enter_context(interruptible())
         result = simulate(
             setup,
-            None if log is collector is None else on_frame,
+            on_frame if namespace.log or namespace.report else None,
             on_row,
             monitor=_monitor(namespace, setup),
             keep=_keep(writer, unwritten),
