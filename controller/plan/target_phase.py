@@ -170,17 +170,28 @@ def cheapest(
 
 @compiled
 def best_trajectory(
-    found: Vector, variance: Vector, waits_s: Vector, contacts: Vector, terms: Vector
+    found: Vector,
+    variance: Vector,
+    waits_s: Vector,
+    contacts: Vector,
+    terms: Vector,
+    comes_sd_rad: float,
 ) -> tuple[int, int]:
-    """Of several trajectories, found (m, 2, n), the one with the cheapest contact, and the index of
-    that contact.
+    """Of several trajectories, found (m, 2, n), the one whose cheapest contact is expected to cost
+    least, and the index of that contact.
 
-    waits_s (m,): from now to the first contact of each, `ContactSeries.wait_s`, which is set."""
+    waits_s (m,): from now to the first contact of each, `ContactSeries.wait_s`, which is set.
+    comes_sd_rad: by so much the predicted phase will still move (standard deviation), the contact
+    with it: the mean over three phases, by Gauss and Hermite (Abramowitz and Stegun, 25.4.46)."""
     series = record_on(contacts, CONTACT_SERIES)
-    chosen, best, least = 0, 0, math.inf
+    chosen, best, least, off = 0, 0, math.inf, math.sqrt(3.0) * comes_sd_rad
     for r in range(found.shape[0]):
         series.wait_s = waits_s[r]
         index, cost = cheapest(found[r, 0], found[r, 1], variance, contacts, terms)
+        if off > 0.0:
+            _, low = cheapest(found[r, 0] - off, found[r, 1], variance, contacts, terms)
+            _, high = cheapest(found[r, 0] + off, found[r, 1], variance, contacts, terms)
+            cost = (4.0 * cost + low + high) / 6.0
         if cost < least:
             chosen, best, least = r, index, cost
     return chosen, best
@@ -192,7 +203,7 @@ def warm_up() -> None:
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
     one, terms = np.ones(1), np.ones(TERMS.itemsize // WORD_BYTES)
     cheapest(one, one, one, contacts, terms)
-    best_trajectory(found, one, one, contacts, terms)
+    best_trajectory(found, one, one, contacts, terms, 1.0)
 
 
 class TargetPhase:
@@ -276,8 +287,9 @@ class TargetPhase:
         first = Trajectory(firsts_us[0], step_us, *found[0])
         settled = self._settled_variances(predictor, first, now_us, releases_us[0])
         waits_s = (np.array(firsts_us) - now_us) / SECOND_US
+        comes_sd_rad = _comes_sd_rad(predictor, first, settled, release_us + settle_us)
         chosen, index = best_trajectory(
-            found, settled, waits_s, _contacts(first, now_us), self._terms(predictor)
+            found, settled, waits_s, _contacts(first, now_us), self._terms(predictor), comes_sd_rad
         )
         return ReleasePlan(releases_us[chosen], round(firsts_us[chosen] + index * step_us))
 
@@ -337,6 +349,16 @@ class TargetPhase:
             slip_low_rad_s=window.contact_low_rad_s,
             slip_high_rad_s=window.contact_high_rad_s,
         )
+
+
+def _comes_sd_rad(
+    predictor: GearPredictor, trajectory: Trajectory, settled: Vector, contact_us: float
+) -> float:
+    """By how much (standard deviation) the phase that is predicted now for a contact will have
+    moved when its sleeve can last be stopped. What is settled then is left out."""
+    index = round((contact_us - trajectory.first_us) / trajectory.step_us)
+    left = settled[min(max(index, 0), settled.size - 1)] - predictor.reference_variance
+    return math.sqrt(max(0.0, predictor.estimate_variance(contact_us) - left))
 
 
 def _contacts(trajectory: Trajectory, now_us: int) -> Vector:

@@ -151,7 +151,7 @@ def test_of_no_contact_at_all_there_is_no_price() -> None:
     none = np.empty(0)
     assert cheapest(none, none, none, series(), terms()) == (0, math.inf)
     no_trajectory = np.empty((0, 2, 1))
-    assert best_trajectory(no_trajectory, none, none, series(), terms()) == (0, 0)
+    assert best_trajectory(no_trajectory, none, none, series(), terms(), 0.0) == (0, 0)
 
 
 def test_of_several_trajectories_the_cheapest_is_named_with_its_contact() -> None:
@@ -165,7 +165,21 @@ def test_of_several_trajectories_the_cheapest_is_named_with_its_contact() -> Non
         ([0.5, 0.25, 0.125], (2, 0)),
         ([0.0, 0.25, 0.25], (0, 1)),
     ):
-        assert best_trajectory(found, known, np.array(waits), contacts, of) == best
+        assert best_trajectory(found, known, np.array(waits), contacts, of, 0.0) == best
+
+
+@pytest.mark.parametrize(("comes_sd_rad", "chosen"), [(0.0, 0), (0.3 * HALF, 0), (1.5 * HALF, 1)])
+def test_a_gap_in_which_the_tooth_hardly_moves_is_not_counted_on_while_its_phase_may_move(
+    comes_sd_rad: float, chosen: int
+) -> None:
+    """At no slip one contact is as good as another, until the phase comes out beside the gap: then
+    all of them miss. A tooth that moves through the gap later meets it sooner or later."""
+    of = terms(**FREE | {"miss_s": 1.0}, target_rad=0.0)
+    found = np.zeros((2, 2, 13))
+    found[1, 0] = np.linspace(-3.0 * HALF, 3.0 * HALF, 13)
+    waits, known = np.array([0.1, 0.2]), np.full(13, 1e-6)
+    best = best_trajectory(found, known, waits, series(0.0, 1e-3), of, comes_sd_rad)
+    assert best[0] == chosen
 
 
 I_GEAR, REFERENCE = 0.8, 0.3

@@ -65,6 +65,6 @@ def test_the_best_trajectory_is_the_first_of_the_least_cost() -> None:
         if cost < least:
             least, expected = cost, (r, index)
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.7e-3)
-    best = best_trajectory(found, variance, waits_s, contacts, terms)
+    best = best_trajectory(found, variance, waits_s, contacts, terms, 0.0)
     assert best == expected
     assert expected[0] < len(RELEASES_US)
