@@ -242,6 +242,8 @@ class ShiftContext:
         self.free_predictor: GearPredictor | None = None
         """The last predictor before the sleeve entered its gear."""
         self.free_us = 0
+        self.flank_us = 0
+        """By then the tooth that was met last lies at a flank."""
 
     @property
     def running(self) -> ShiftRecord:

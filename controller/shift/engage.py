@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from meshpoint.controller.estimate.reference import MeshChange
 from meshpoint.controller.measure.gearbox_view import ENGAGED_SHORT_M, ENTERED_M
 from meshpoint.controller.plan.gear_predictor import GearPredictor
@@ -45,6 +47,10 @@ STRAIGHT_SHARE: Final = 1.3
 SEEN_US: Final = 28 * MS_IN_US
 """Longest delay from a gear being in mesh to the measured position showing it."""
 
+FLANK_STEP_US: Final = 2 * MS_IN_US
+FLANK_STEPS: Final = 100
+"""A tooth in the gap is looked for at its flank in such steps, no further ahead than 0.2 s."""
+
 CALLS: Final = 6
 """This often a sleeve may be recalled in one shift: each costs a gap's time."""
 
@@ -68,7 +74,7 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     # The plates meet some hundredths of a second after the clutch sets off: it does so as soon as
     # the overlap holds the sleeve. A gear whose phase is not known yet is left to show its flank.
     holds = _entered_m(context, snapshot) > context.sheet.dog.most_overlap_m
-    holds = holds and context.reference_known(gear)
+    holds = holds and context.reference_known(gear) and strikes_first(context, snapshot.now_us)
     context.clutch = ClutchAction.CLOSE if holds else ClutchAction.OPEN
     if _is_tooth_on_tooth(context, snapshot) or context.late(
         snapshot, context.settings.limits.engage_ms
@@ -109,6 +115,27 @@ def _measure_contact(context: ShiftContext) -> None:
         shift.estimated_phase_rad = context.strategist.plan_at(
             free, round(crossing), ShiftDecision.NONE
         ).phase_rad
+        context.flank_us = round(_flank_us(context, free, crossing))
+
+
+def _flank_us(context: ShiftContext, predictor: GearPredictor, contact_us: float) -> float:
+    """When a tooth that met the gap has come to a flank, for all that its phase is not known to:
+    one with little slip may turn back just before the first flank, and come to the other one by
+    drag alone."""
+    dog = context.sheet.dog
+    phases = predictor.trajectory(contact_us, FLANK_STEP_US, FLANK_STEPS).phase_rad
+    off = phases - dog.pitch_rad * round(float(phases[0]) / dog.pitch_rad)
+    known_rad = predictor.phase_sd_rad(contact_us)
+    is_past = np.abs(off) > dog.backlash_rad / 2.0 + known_rad
+    return contact_us + FLANK_STEP_US * (is_past.argmax() if is_past.any() else FLANK_STEPS)
+
+
+def strikes_first(context: ShiftContext, now_us: int) -> bool:
+    """Whether the tooth lies at its flank before the plates meet, of a clutch that sets off now.
+    Else the engine would strike the flank with all of its inertia."""
+    clutch = context.sheet.clutch
+    meeting_s = clutch.surely_open_share * clutch.close_delay_s
+    return now_us + meeting_s * SECOND_US >= context.flank_us
 
 
 def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:

@@ -68,6 +68,8 @@ OVER_RAD_S: Final = 3.0
 CARRIED_RAD_S: Final = 1.5
 """Plates carry the layshaft with the engine where the gear's slip by its own speed and by the
 engine's differ by less (15 rpm): both are some hundredths of a second old."""
+OVERSHOOT: Final = 1.05
+"""The engine may come to so much more than it is asked for (docs/safety.md)."""
 BEYOND_US: Final = 300 * MS_IN_US
 """For this long the speed that a gear needs may be above the input shaft's limit: a main shaft that
 swings comes back, a vehicle that rolls downhill does not."""
@@ -333,7 +335,8 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     """The slip (rad/s) to ask for: `aim_slip_rpm`, plus what drag takes from the earliest on that
     plates of the sheet's tolerance part until a sleeve that is fired once they are measured apart
-    comes to its gear. The measurement comes up to a sensor read and a tick later."""
+    comes to its gear. The measurement comes up to a sensor read and a tick later. And what the
+    brake is to take away."""
     sheet, target, window = context.sheet, context.running.target, context.settings.window
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0
@@ -344,4 +347,18 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     fall_s = parted_s + SEEN_LATE_US * US
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s
-    return window.aim_slip_rad_s + ratio * drag_rad_s2 * (fall_s + stroke_s)
+    least = window.aim_slip_rad_s + ratio * drag_rad_s2 * (fall_s + stroke_s)
+    return least + _braked_slip(context, least, snapshot)
+
+
+def _braked_slip(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> float:
+    """By how much more than a slip (rad/s) a gear is raised where the strategy aims: a pitch for
+    each sleeve delay. The brake takes it away again, and by when it is released one gap or the next
+    is met (`synchronise`). No more than the input shaft's limit leaves to an engine
+    that overshoots."""
+    sheet, target = context.sheet, context.running.target
+    speed = context.engine_speed(target, slip_rad_s, snapshot)
+    if speed is None or not context.strategist.acting(context.reference_known(target.main)).aims:
+        return 0.0
+    left = (sheet.limits.input_max_rad_s / OVERSHOOT - speed) * _gear_over_engine(context)
+    return max(0.0, min(left, sheet.dog.pitch_rad / sheet.sleeve.delay_s))

@@ -25,7 +25,7 @@ from meshpoint.controller.shift.disengage import (
     has_left_neutral,
     open_clutch,
 )
-from meshpoint.controller.shift.engage import CALLS, engage, hold, recall, retract
+from meshpoint.controller.shift.engage import CALLS, engage, hold, recall, retract, strikes_first
 from meshpoint.controller.shift.engine import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
 from meshpoint.controller.shift.step_snapshot import FREE_STATES, MISSING, StepSnapshot
@@ -110,7 +110,8 @@ def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
     if snapshot.view.main_gear is None:
         context.clutch = ClutchAction.OPEN
         return Trigger.GEAR_UNKNOWN if context.late(snapshot, limit_ms) else None
-    context.clutch = ClutchAction.CLOSE
+    closes = strikes_first(context, snapshot.now_us)
+    context.clutch = ClutchAction.CLOSE if closes else ClutchAction.OPEN
     gear = DRIVE_GEARS.get(snapshot.view.gear_number)
     if gear is not None:
         context.ask_engine(gear, 0.0, snapshot)

@@ -65,7 +65,8 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     if not command.on and not command.before:
         if predictor.steady_slip_rad_s(now) < context.settings.window.contact_low_rad_s:
             return too_slow(context, snapshot)
-        if not _brake_helps(context, predictor, snapshot):
+        helps = _brake_helps(context, predictor, snapshot)
+        if not (helps or _brakes_for_phase(context, predictor, snapshot)):
             shift.release_us = now
             return Trigger.BRAKE_RELEASED
         shift.pulses += 1
@@ -145,6 +146,18 @@ def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     slip = predictor.steady_slip_rad_s(snapshot.now_us)
     fall = slip - predictor.steady_slip_rad_s(snapshot.now_us + FALL_US)
     return slip - wanted > fall * (limits.coast_ms * MS_IN_US / FALL_US)
+
+
+def _brakes_for_phase(
+    context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot
+) -> bool:
+    """Whether a gear that drag alone would slow down is braked all the same, once: its release
+    chooses the phase at contact, drag does not. Only where the first contact that can be made
+    would come with more slip than is aimed for."""
+    if context.running.pulses > 0 or not _acting(context, predictor.gear).aims:
+        return False
+    first_us = snapshot.earliest_us + predictor.delay_us
+    return predictor.steady_slip_rad_s(first_us) > context.settings.window.aim_slip_rad_s
 
 
 def _braked_lately(context: ShiftContext, snapshot: StepSnapshot) -> bool:

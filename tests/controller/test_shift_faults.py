@@ -378,7 +378,7 @@ def test_where_the_guard_forbids_every_contact_for_its_slip_the_engine_raises_th
     box = aimed(*UP[:2])
     box.ask(UP[2])
     for raises in range(box.settings.limits.raises + 1):
-        box.until(State.SYNCHRONISING if raises == 0 else State.COASTING)
+        box.until(State.SYNCHRONISING)
         for _ in range(box.settings.limits.blocks):
             assert box.sequence.running.raises == raises
             box.sequence.blocked(3, box.snapshot())
