@@ -91,8 +91,6 @@ class SleeveLaw:
         self.stroke_m = sleeve.stroke_m
         self.in_gear_m = sleeve.stroke_m - NEAR_STOP_M
         """A sleeve this far from neutral is in its gear."""
-        self.chance_s = sleeve.delay_limit_s
-        """A switch's spool is early or late by no more than this."""
         self.atmosphere_pa = air.atmosphere_pa
         self.sheet_pa = air.supply_gauge_pa
         """Gauge."""

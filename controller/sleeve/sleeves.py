@@ -39,7 +39,6 @@ from meshpoint.controller.sleeve.stroke import (
     rests_at_m,
     stops,
     to_contact,
-    withstands_us,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
 from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
@@ -374,8 +373,7 @@ class Sleeves:
         if in_gear:
             most_us = max(bound_us, REACT_US) * (1.0 if is_taught else FIRST_SHARE)
         else:
-            by_law_us = withstands_us(tracked, direction)
-            most_us = max(min(bound_us - self._spread_us, by_law_us), LEAST_PUSH_US)
+            most_us = max(bound_us - self._spread_us, LEAST_PUSH_US)
         first_us = min(self._by_sheet_us(direction, from_m), int(most_us)) + longer_us
         before = tracked.withstood.get((direction, in_gear))
         if before is None or before.from_m > abs(from_m) + PLACE_STEP_M:

@@ -315,19 +315,6 @@ def may_be_thrown(sleeve: DrivenSleeve, direction: int) -> bool:
     return way.crossed_us is not None
 
 
-def withstands_us(sleeve: DrivenSleeve, direction: int) -> int:
-    """For so long a sleeve that stands before a gear's teeth may be pushed towards neutral and, by
-    its law, does not come near the opposite ones, its valve as early to open and as late to shut as
-    the data sheet allows."""
-    level_m, short_us, long_us = sleeve.law.face_m - NEAR_TEETH_M, 0, LONGEST_PULL_US
-    while long_us - short_us > PULL_STEP_US:
-        middle_us = (short_us + long_us) // 2
-        push = pulse_of(direction, sleeve.start.time_us, middle_us)
-        is_through = _expected_m(sleeve, direction, [*push]) > level_m
-        short_us, long_us = (short_us, middle_us) if is_through else (middle_us, long_us)
-    return short_us - round(2.0 * SECOND_US * sleeve.law.chance_s)
-
-
 def pulse_of(direction: int, on_us: int, length_us: int) -> tuple[Switch, Switch]:
     """The valve that pushes there on, and off again."""
     valve = valve_towards(direction)

@@ -91,8 +91,8 @@ from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER
 from meshpoint.controller.models.swing import Swing, SwingMotion, SwingRates
 from meshpoint.controller.models.layshaft import diagonal, first_order_law, following_motion
-from meshpoint.controller.plan.target_phase import CONTACT_SERIES, MEETING, TERMS
-from meshpoint.controller.plan.target_phase import cheapest, trajectory
+from meshpoint.controller.plan.gear_predictor import MEETING, trajectory
+from meshpoint.controller.plan.target_phase import CONTACT_SERIES, TERMS, cheapest
 from meshpoint.kernels.records import filled
 from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.controller.estimate.teeth import WheelTeeth

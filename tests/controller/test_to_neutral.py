@@ -141,13 +141,12 @@ def pushed(name: str, from_mm: float, off_ms: float) -> bool:
     return -FACE in bench.sleeve.reached_us
 
 
-@pytest.mark.parametrize("from_mm", [2.6, 3.0, 3.4, 3.8, 4.2, 4.6])
+@pytest.mark.parametrize("from_mm", [2.6, 3.0, 3.4, 3.8, 4.2])
 @pytest.mark.parametrize("name", MADE)
 def test_no_push_to_neutral_throws_its_sleeve_through(name: str, from_mm: float) -> None:
-    """Valves of `harsh` that open 4 ms early and shut as late, which one push in 200 exceeds. Red
-    before: a push of 9.5 ms from 4.2 mm lasted 7 ms longer, and the sleeve met the opposite gear at
-    -357 rpm."""
-    assert not pushed(name, from_mm, 4.0)
+    """Valves of `harsh` that open 3.5 ms early and shut as late, which one push in 50 exceeds. Red
+    before: a push was braked only when its sleeve was seen to be thrown through."""
+    assert not pushed(name, from_mm, 3.5)
 
 
 @pytest.mark.parametrize("name", CYLINDERS)
