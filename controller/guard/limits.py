@@ -82,6 +82,9 @@ class GuardLimits:
     brake_lag_us: float
     brake_nm_per_pa: float
     atmosphere_pa: float
+    face_pulse_us: dict[int, float]
+    """The longest pulse of the brake that turns a tooth on which a sleeve stands to the next gap
+    within the slip window, by the main valve."""
     brake_rad_s2: tuple[float, float]
     """Deceleration of the layshaft by the full brake, least and most."""
     drag_rad_s2: float
@@ -205,6 +208,10 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         brake_lag_us=brake.time_constant_s * 1e6,
         brake_nm_per_pa=sheet.brake_nm_per_pa,
         atmosphere_pa=sheet.air.atmosphere_pa,
+        face_pulse_us={
+            valve: _face_pulse_us(sheet, settings, sheet.main_mesh(gear).ratio * strongest)
+            for gear, valve in MAIN_VALVE_OF_GEAR.items()
+        },
         brake_rad_s2=(weakest, strongest),
         drag_rad_s2=guard.drag_torque_nm / min(inertia),
         drag_rate=guard.torque_factor * sheet.shafts.friction_nms / min(inertia),
@@ -245,6 +252,26 @@ def _teeth_out_us(sheet: GearboxSheet) -> float:
     sleeve = sheet.sleeve
     way_s = (sleeve.stroke_m - sleeve.to_contact_m) / sleeve.speed_m_s
     return 1e6 * max(sleeve.valve_delay_s, sleeve.valve_delay_s + way_s - sleeve.delay_limit_s)
+
+
+def _face_pulse_us(sheet: GearboxSheet, settings: ControllerSettings, full_rad_s2: float) -> float:
+    """The longest pulse of the brake on a tooth that stands on a tooth. full_rad_s2: what the full
+    brake takes of the gear's speed.
+
+    From rest, but for what speeds may be wrong by, no gear gets beyond v^2 = v0^2 + 2 a s within
+    the width s of a face, where a gap comes by. The brake never has more than the pressure at the
+    pulse's end, filled at the sheet's fastest; before, it had no more than counts as released. The
+    last of it is out after some time constants, so a pulse is no longer than one."""
+    brake, dog = sheet.brake, sheet.dog
+    face_rad = dog.pitch_rad - dog.backlash_rad
+    most_rad_s = SLIP_MARGIN_RAD_S - settings.guard.slip_low_rad_s
+    most_rad_s2 = (most_rad_s**2 - SLIP_MARGIN_RAD_S**2) / (2.0 * face_rad)
+    empty = 1.0 - BRAKE_PRESSED_PA / sheet.air.supply_gauge_pa
+    left = max(0.0, 1.0 - most_rad_s2 / full_rad_s2)
+    fast_s = brake.time_constant_s * (1.0 - brake.time_constant_tolerance)
+    filled_s = fast_s * math.log(empty / left) if left > 0.0 else math.inf
+    scatter_s = brake.greatest_valve_delay_s - brake.least_valve_delay_s
+    return 1e6 * max(0.0, min(filled_s, fast_s) - scatter_s)
 
 
 def _plate_slip_rad_s(sheet: GearboxSheet) -> float:

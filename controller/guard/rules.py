@@ -28,6 +28,7 @@ from meshpoint.controller.guard.case import (
     decode,
     spans,
 )
+from meshpoint.controller.guard.face_pulse import sleeve_on_a_tooth
 from meshpoint.controller.guard.last_call import slip_may_leave_its_window
 from meshpoint.controller.guard.limits import (
     BRAKE_PRESSED_PA,
@@ -141,12 +142,13 @@ def engage_on_unknown_speed(case: JudgedCommand) -> bool:
 def brake_against_the_driveline(case: JudgedCommand) -> bool:
     """Row 5: air may come into the brake while a gear is in mesh or the clutch's plates may touch,
     or stay in it beyond the earliest contact of a sleeve that is driven. A release that is still to
-    come counts."""
+    come counts. A sleeve that stands on a tooth may be moved on."""
     brake = case.spans[BRAKE]
     if brake is None:
         return False
-    engaging = case.engaging()
-    approaching = {case.limits.main[valve].sleeve for valve, _ in engaging}
+    stands, sleeves = sleeve_on_a_tooth(case, brake), case.limits.main
+    engaging = [driven for driven in case.engaging() if sleeves[driven[0]].sleeve != stands]
+    approaching = {stands, *(sleeves[valve].sleeve for valve, _ in engaging)}
     acts_us = max(float(case.seen.now_us), brake.start_us + case.limits.brake_delay_us[0])
     in_mesh = not all(case.teeth_are_out(sleeve, acts_us) for sleeve in {0, 1} - approaching)
     meets = any(brake.end_us > case.contact_us(*driven)[0] for driven in engaging)

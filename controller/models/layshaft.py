@@ -251,6 +251,12 @@ def diagonal(*sds: float) -> Vector:
     return p
 
 
+def switched(*switches: tuple[int, bool]) -> Vector:
+    """The switches of the kernels: each the time at which pressure starts to react, and whether it
+    fills."""
+    return np.array(tuple(zip(*switches, strict=True)), dtype=np.float64)
+
+
 class Switch(NamedTuple):
     """From `time_us` on the valve is driven or not."""
 

@@ -25,6 +25,7 @@ from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.disengage import bring_to_neutral
+from meshpoint.controller.shift.move_on import move_on
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import brake_holds, fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
@@ -76,10 +77,13 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     holds = _entered_m(context, snapshot) > context.sheet.dog.most_overlap_m
     holds = holds and context.reference_known(gear) and strikes_first(context, snapshot.now_us)
     context.clutch = ClutchAction.CLOSE if holds else ClutchAction.OPEN
+    if shift.measured_contact_us is not None:
+        move_on(context, snapshot, _entered_m(context, snapshot))
     if _is_tooth_on_tooth(context, snapshot) or context.late(
         snapshot, context.settings.limits.engage_ms
     ):
         context.board.off(SLEEVE_VALVE[gear])
+        context.brake_off(snapshot.now_us)
         return Trigger.BLOCKED
     return None
 
@@ -139,11 +143,12 @@ def strikes_first(context: ShiftContext, now_us: int) -> bool:
 
 
 def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the sleeve has not entered its gear within `limits.face_ms` after contact."""
+    """Whether the sleeve has not entered its gear within `limits.face_ms` after contact, or since
+    the tooth was last moved on."""
     shift = context.running
     if shift.measured_contact_us is None:
         return False
-    rested_us = snapshot.now_us - shift.measured_contact_us
+    rested_us = snapshot.now_us - max(shift.measured_contact_us, shift.moved_us)
     entered = _entered_m(context, snapshot) > 2.0 * ENTERED_M
     return not entered and rested_us > context.settings.limits.face_ms * MS_IN_US
 

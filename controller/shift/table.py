@@ -168,6 +168,10 @@ class ShiftRecord:
     release_us: int | None = None
     plan: Plan | None = None
     measured_contact_us: int | None = None
+    moves: int = 0
+    """How often a tooth that stood on a tooth was moved on."""
+    moved_us: int = 0
+    """When the last pulse of the brake ends that does so."""
     estimated_phase_rad: float = 0.0
     result: ShiftResult = ShiftResult.NONE
     fault: FaultCode = FaultCode.NONE
