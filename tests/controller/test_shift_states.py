@@ -229,6 +229,8 @@ def rested(box: Box, left: list[int]) -> ShiftRecord:
         box.step()
         if resting[0] and began_us is None and box.state is State.ENGAGING:
             began_us = box.now_us
+        if began_us is not None and box.board.driven(ValveName.BRAKE, box.now_us):
+            began_us = box.now_us  # by a pulse that is to move the tooth on
         if began_us is not None and box.state is not State.ENGAGING:
             limit_us = 1_000 * box.settings.limits.face_ms
             assert limit_us - 10_000 <= box.now_us - began_us <= limit_us + 20_000
