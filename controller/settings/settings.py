@@ -156,7 +156,8 @@ class ShiftLimits:
     engage_ms: int = count("engage_ms", 100, 5000, default=500)
     """From firing until the sleeve is in its gear."""
     face_ms: int = count("face_ms", 20, 2000, default=200)
-    """A sleeve that rests on a tooth for longer goes back and tries another one."""
+    """A sleeve that rests on a tooth for longer, also since the brake has last moved that on, goes
+    back and tries another one."""
     coast_ms: int = count("coast_ms", 20, 2000, default=250)
     """Where drag alone would take longer than this to bring the slip down, the brake helps."""
     raise_ms: int = count("raise_ms", 200, 10000, default=2000)

@@ -33,9 +33,9 @@ draws the line a little higher."""
 PULSES: Final = 2
 """This often a tooth is moved on; then its sleeve goes back."""
 LEAST_US: Final = 5 * MS_IN_US
-LONGEST_US: Final = 25 * MS_IN_US
-"""A longer pulse would still be on as the gear locks: its air comes in after some 12 ms, and the
-gear has then turned for as long."""
+LONGEST_US: Final = 22 * MS_IN_US
+"""A longer pulse might still be on as the gear locks: its air comes in after some 12 ms. The guard
+draws a line of its own for each gear, of which this stays short on our sheets."""
 STALLS: Final = 2.0
 """The brake is not used where its full torque would bring the layshaft to the guard's floor within
 so many of its time constants."""

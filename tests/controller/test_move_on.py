@@ -71,8 +71,8 @@ class Pressed:
 
 
 def test_a_tooth_that_stands_on_a_tooth_is_moved_on_and_the_sleeve_goes_in() -> None:
-    """Not before 15 ms after contact; the air of the braking before has to be out, that of the pulse takes 12 ms. By face
-    time alone it would have gone back after 200 ms."""
+    """Not before 15 ms after contact. The air of the braking before has to be out, that of the pulse
+    takes 12 ms to come. By face time alone it would have gone back after 200 ms."""
     pressed = Pressed(holds_nm=25.0)
     record = pressed.record
     assert (record.result, record.attempts, record.moves) == (ShiftResult.ENGAGED, 1, 1)
@@ -101,7 +101,7 @@ def test_it_is_moved_on_twice_and_only_then_goes_back() -> None:
         pressed.pulses_us[::2], pressed.pulses_us[1::2], strict=True
     ):
         assert on_us - off_us > 60_000
-    assert all(5_000 <= off_us - on_us <= 25_000 for on_us, off_us in pressed.pulses_us)
+    assert all(5_000 <= off_us - on_us <= 22_000 for on_us, off_us in pressed.pulses_us)
 
 
 def test_no_pulse_where_the_brake_might_stall_the_layshaft() -> None:
