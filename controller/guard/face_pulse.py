@@ -37,14 +37,15 @@ def sleeve_on_a_tooth(case: JudgedCommand, brake: Span) -> int | None:
     lasts_us = (brake.end_us if is_ended else next_us) - brake.start_us
     is_at_the_faces = abs(case.way_m(valve) - limits.contact_m) <= CLEAR_M
     may_last = lasts_us <= limits.face_pulse_us[valve]
-    is_begun = brake.start_us + limits.brake_delay_us[0] < now_us
-    if is_at_the_faces and may_last and (is_begun or _stands(case, valve)):
+    acts = now_us > brake.start_us + limits.brake_delay_us[0]
+    may_begin = now_us >= brake.start_us or _air_is_out(case)
+    if is_at_the_faces and may_last and may_begin and (acts or _stands(case, valve)):
         return limits.main[valve].sleeve
     return None
 
 
 def _stands(case: JudgedCommand, valve: int) -> bool:
-    """Whether the sleeve stands, its gear turns with it, and no air is left in the brake."""
+    """Whether the sleeve stands, its gear turns with it, and the brake is empty."""
     layshaft, main, gear = case.speed(LAYSHAFT), case.speed(MAIN), case.limits.main[valve]
     if layshaft is None or main is None:
         return False
@@ -53,3 +54,9 @@ def _stands(case: JudgedCommand, valve: int) -> bool:
         and abs(case.seen.means_m_s[gear.sleeve]) < LEAVING_M_S
         and case.seen.brake_pa - case.limits.atmosphere_pa <= BRAKE_PRESSED_PA
     )
+
+
+def _air_is_out(case: JudgedCommand) -> bool:
+    """Whether the brake has been off for so long that its pressure shows what is left of it."""
+    shows_us = case.limits.brake_delay_us[1] + case.limits.brake_lag_us
+    return case.seen.now_us - case.state.brake_off_us > shows_us

@@ -21,7 +21,7 @@ from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import FOREVER_US, ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
-from meshpoint.units import RPM
+from meshpoint.units import RPM, SECOND_US
 
 RESTED_US: Final = 15 * MS_IN_US
 """A sleeve that has not entered so long after contact is on a tooth: a gap shows sooner."""
@@ -77,9 +77,18 @@ def _helps(context: ShiftContext, snapshot: StepSnapshot) -> bool:
         and abs(slip) <= STANDS_RAD_S
         and view.rests(SLEEVE_OF_MAIN[gear].sleeve)
         and view.clutch_parted
-        and view.brake_gauge_pa <= RELEASED_PA
+        and _is_released(context, snapshot)
         and layshaft - taken_rad_s > context.settings.guard.brake_floor_rad_s
     )
+
+
+def _is_released(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the brake's air is out. Its pressure shows no sooner what a pulse has let in than the
+    valve's delay and some filling later."""
+    switches, brake = context.brake.switches, context.sheet.brake
+    shows_us = (brake.greatest_valve_delay_s + brake.time_constant_s) * SECOND_US
+    is_shown = not switches or snapshot.now_us - switches[-1].time_us > shows_us
+    return is_shown and snapshot.view.brake_gauge_pa <= RELEASED_PA
 
 
 def _pulse_us(context: ShiftContext, snapshot: StepSnapshot) -> int:

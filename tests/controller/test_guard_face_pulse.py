@@ -95,6 +95,17 @@ def test_where_a_pulse_may_begin(seen: GuardInputs, forbidden: int | None) -> No
     assert row(on_a_tooth(), seen, PULSED) == forbidden
 
 
+def test_a_second_pulse_waits_until_the_air_of_the_first_would_show() -> None:
+    """Red before: a pulse that has just ended shows no pressure yet. 13.8 ms of the valve's greatest
+    delay and a time constant later it does, and is above 1 bar if it is."""
+    for ms, forbidden in ((152.7, 5), (152.9, None)):
+        guard = on_a_tooth()
+        assert pulse(guard, 20.0) is None
+        assert row(guard, standing(96.0), PRESSED) is None
+        again = PRESSED | {BRAKE: (ON_AT, ms + 4.0)}
+        assert row(guard, standing(ms), again) == forbidden
+
+
 @pytest.mark.parametrize("shaft", [1, 2])
 def test_a_pulse_begins_on_known_speeds_alone(shaft: int) -> None:
     seen = standing(70.0)
