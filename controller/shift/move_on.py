@@ -38,7 +38,7 @@ LONGEST_US: Final = 22 * MS_IN_US
 draws a line of its own for each gear, of which this stays short on our sheets."""
 STALLS: Final = 2.0
 """The brake is not used where its full torque would bring the layshaft to the guard's floor within
-so many of its time constants."""
+this many of its time constants."""
 
 
 def move_on(context: ShiftContext, snapshot: StepSnapshot, entered_m: float) -> None:

@@ -1,5 +1,5 @@
-"""Row 5 where a sleeve stands on a tooth: a pulse of the brake may move the tooth on. Second gear of
-`truck12`, whose longest pulse is 32.4 ms."""
+"""Row 5 where a sleeve stands on a tooth: a pulse of the brake may move the tooth on. Second gear
+of `truck12`, whose longest pulse is 32.4 ms."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ def test_where_a_pulse_may_begin(seen: GuardInputs, forbidden: int | None) -> No
 
 
 def test_a_second_pulse_waits_until_the_air_of_the_first_would_show() -> None:
-    """Red before: a pulse that has just ended shows no pressure yet. 13.8 ms of the valve's greatest
-    delay and a time constant later it does, and is above 1 bar if it is."""
+    """A pulse that has just ended shows no pressure yet. 13.8 ms of the valve's greatest delay and
+    a time constant later it does, and is above 1 bar if it is."""
     for ms, forbidden in ((152.7, 5), (152.9, None)):
         guard = on_a_tooth()
         assert pulse(guard, 20.0) is None

@@ -71,8 +71,8 @@ class Pressed:
 
 
 def test_a_tooth_that_stands_on_a_tooth_is_moved_on_and_the_sleeve_goes_in() -> None:
-    """Not before 15 ms after contact. The air of the braking before has to be out, that of the pulse
-    takes 12 ms to come. By face time alone it would have gone back after 200 ms."""
+    """Not before 15 ms after contact. The air of the braking before has to be out, that of the
+    pulse takes 12 ms to come. By face time alone it would have gone back after 200 ms."""
     pressed = Pressed(holds_nm=25.0)
     record = pressed.record
     assert (record.result, record.attempts, record.moves) == (ShiftResult.ENGAGED, 1, 1)
