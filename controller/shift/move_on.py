@@ -43,17 +43,18 @@ this many of its time constants."""
 
 def move_on(context: ShiftContext, snapshot: StepSnapshot, entered_m: float) -> None:
     """One step with a sleeve that has met its gear: begins a pulse, or ends it as the sleeve goes
-    in."""
+    in, or the gear turns before the air comes."""
     shift, board, now_us = context.running, context.board, snapshot.now_us
     command = board.command(ValveName.BRAKE)
     if command.until_us < FOREVER_US and now_us >= command.time_us:
         # The filter's input has one switch that is still to come.
         context.brake.schedule(command.until_us, False, now_us)
-    if abs(entered_m) > ENTERED_M:
-        if not command.rests(now_us):
-            context.brake_off(now_us)
+    is_pulsed = not command.rests(now_us)
+    acts = is_pulsed and now_us >= command.time_us + context.brake.on_delay_us
+    if is_pulsed and (abs(entered_m) > ENTERED_M or not (acts or _stands(context, snapshot))):
+        context.brake_off(now_us)
         return
-    if not (command.rests(now_us) and _helps(context, snapshot)):
+    if is_pulsed or abs(entered_m) > ENTERED_M or not _helps(context, snapshot):
         return
     start_us = snapshot.earliest_us
     shift.moves += 1
@@ -62,19 +63,25 @@ def move_on(context: ShiftContext, snapshot: StepSnapshot, entered_m: float) -> 
     context.brake.schedule(start_us, True, now_us)
 
 
+def _stands(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the gear turns with its sleeve."""
+    slip = snapshot.speeds.slip_rad_s(context.running.target.main)
+    return slip is not None and abs(slip) <= STANDS_RAD_S
+
+
 def _helps(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether a tooth stands, and the brake may and can move it on."""
     shift, view, sheet = context.running, snapshot.view, context.sheet
     gear, contact_us = shift.target.main, shift.measured_contact_us
-    slip, layshaft = snapshot.speeds.slip_rad_s(gear), snapshot.speeds.layshaft
-    if contact_us is None or slip is None or layshaft is None:
+    layshaft = snapshot.speeds.layshaft
+    if contact_us is None or layshaft is None:
         return False
     full_rad_s2 = sheet.brake.max_torque_nm / sheet.inertia_kgm2(shift.target.split)
     taken_rad_s = full_rad_s2 * STALLS * sheet.brake.time_constant_s
     return (
         snapshot.now_us - contact_us >= RESTED_US
         and shift.moves < PULSES * shift.attempts
-        and abs(slip) <= STANDS_RAD_S
+        and _stands(context, snapshot)
         and view.rests(SLEEVE_OF_MAIN[gear].sleeve)
         and view.clutch_parted
         and _is_released(context, snapshot)

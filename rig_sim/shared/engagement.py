@@ -19,7 +19,7 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
-from meshpoint.rig_sim.shared.sleeves import MainSleeve
+from meshpoint.rig_sim.shared.sleeves import MainSleeve, SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.units import RPM
 
@@ -33,6 +33,9 @@ VALVE_OF_MAIN: Final = {gear: valve for valve, gear in GEAR_OF_VALVE.items()}
 GRINDS_RAD_S: Final = 130.0 * RPM
 """Dog teeth that meet at more slip than this are damaged: no controller may fire or push a sleeve
 so. The slip that a controller's guard allows, 120 rpm, and the 10 rpm by which it may err."""
+MOVED_ON_US: Final = 40_000
+"""A pulse of the brake that began as a sleeve stood on a tooth may turn the gear into its gap: its
+valve is off again within this time."""
 GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
 
 
@@ -40,7 +43,9 @@ class Violation(IntEnum):
     """States that a controller must never cause."""
 
     TWO_GEARS = 0  # a second gear at its sleeve while one is in mesh
-    BRAKE_IN_GEAR = 1  # air let into the brake in gear, or its valve on when a gear locks
+    # air let into the brake in gear, or its valve on when a gear locks: but for a short pulse that
+    # began as the sleeve stood on a tooth
+    BRAKE_IN_GEAR = 1
     BOTH_VALVES = 2  # both valves of one sleeve on
     SLIP_AT_CONTACT = 3  # a sleeve at a gear that turns against it faster than GRINDS_RAD_S
 
@@ -85,6 +90,8 @@ class Engagement(ABC, Generic[SleeveT]):
         self.sleeves = sleeves
         self._energised: set[Valve] = set()
         self._blocked: set[Sleeve] = set()
+        self._pulsed_us: float | None = None
+        """Since when the brake's valve is on that went on as a sleeve stood on a tooth."""
         self.scripted = False
         self.violations: Counter[Violation] = Counter()
         self.engaged: list[Engaged] = []
@@ -103,6 +110,7 @@ class Engagement(ABC, Generic[SleeveT]):
         """A main valve or the brake valve has been switched."""
         (self._energised.add if on else self._energised.discard)(valve)
         if valve is Valve.BRAKE:
+            self._count_pulse(on, time_us)
             return
         where = SLEEVE_OF_MAIN[GEAR_OF_VALVE[valve]]
         opposite = VALVE_OF_MAIN[GEAR_AT[where.sleeve, -where.direction]]
@@ -176,9 +184,24 @@ class Engagement(ABC, Generic[SleeveT]):
         gear = self.gear_at(name)
         self._violate(Violation.TWO_GEARS, time_us, f"{gear.name} pushed while a gear is in mesh")
 
+    def _count_pulse(self, on: bool, time_us: float) -> None:
+        """The brake's valve has been switched: one that began on a tooth is looked at again as it
+        ends, since nothing else may be due until then."""
+        if self._pulsed_us is not None and time_us - self._pulsed_us > MOVED_ON_US:
+            self._violate_in_gear(time_us)
+        stands = any(sleeve.state is SleeveState.FACE for sleeve in self.sleeves.values())
+        is_pulse = on and stands and self._plant.shafts.lock is None
+        self._pulsed_us = time_us if is_pulse else None
+
     def _count_brake_in_gear(self, time_us: float) -> None:
+        pulsed_us = self._pulsed_us
+        is_pulse = pulsed_us is not None and time_us - pulsed_us <= MOVED_ON_US
+        if Valve.BRAKE in self._energised and not is_pulse:
+            self._violate_in_gear(time_us)
+
+    def _violate_in_gear(self, time_us: float) -> None:
         lock = self._plant.shafts.lock
-        if lock is not None and Valve.BRAKE in self._energised:
+        if lock is not None:
             self._violate(Violation.BRAKE_IN_GEAR, time_us, f"brake on in gear {lock.gear.name}")
 
     def _violate(self, kind: Violation, time_us: float, text: str) -> None:

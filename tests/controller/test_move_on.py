@@ -125,3 +125,18 @@ def test_a_pulse_ends_as_soon_as_the_sleeve_has_entered(entered_mm: float) -> No
     box.step()
     is_on = box.board.command(BRAKE).on
     assert is_on is (entered_mm < 0.3)
+
+
+def test_a_pulse_is_taken_back_where_the_gear_turns_before_its_air_comes() -> None:
+    """The guard would take everything off: what stands no more needs no brake."""
+    for slip_rpm in (3.0, -8.0):
+        box = aimed(*UP[:2])
+        box.face = lambda _: True
+        box.ask(UP[2])
+        while not (box.state is State.ENGAGING and box.board.command(BRAKE).on):
+            box.step()
+            if box.state is State.ENGAGING:
+                box.layshaft = box.main / SHEET.main_mesh(GEAR).ratio
+        box.propeller -= slip_rpm * RPM * SHEET.range_mesh(box.range).ratio
+        box.step()
+        assert box.board.command(BRAKE).on is (abs(slip_rpm) < 5.0)

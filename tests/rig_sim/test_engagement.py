@@ -228,6 +228,35 @@ def test_braking_in_gear_moves_nothing_and_is_counted() -> None:
     assert bench.core.truth.brake_gauge_pa > 7e5
 
 
+@pytest.mark.parametrize(("lasts_ms", "counted"), [(38, 0), (42, 1)])
+def test_a_short_pulse_of_the_brake_that_begins_on_a_tooth_is_none_in_gear(
+    lasts_ms: int, counted: int
+) -> None:
+    """The gap comes by some milliseconds after the sleeve has met its gear, at once."""
+    bench = RigBench(thesis_rig(seed=0))
+    truth, second = bench.core.truth, ValveCommand(main_second_action=ValveAction.ON_NOW)
+    both = second._replace(brake_action=ValveAction.ON_NOW)
+    bench.run(150_000, lambda now_us: second)
+    bench.run(met_us := 200_000, lambda now_us: ValveCommand())
+    while truth.sleeve_state(Sleeve.FIRST_SECOND) is not SleeveState.FACE:
+        met_us += 1_000
+        bench.run(met_us, lambda now_us: second)
+    bench.run(met_us + 1_000 * lasts_ms, lambda now_us: both)
+    bench.run(met_us + 200_000, lambda now_us: second)
+    assert truth.locked_gear is MainGear.SECOND
+    assert truth.violations[Violation.BRAKE_IN_GEAR] == counted
+
+
+def test_the_brake_in_one_gear_is_counted_though_another_sleeve_stands_on_a_tooth() -> None:
+    bench = RigBench(thesis_rig(seed=5))
+    pushed = ValveCommand(main_third_action=ValveAction.ON_NOW)
+    bench.run(500_000, lambda now_us: pushed)
+    assert bench.core.truth.sleeve_state(Sleeve.CRAWL_THIRD) is SleeveState.FACE
+    both = pushed._replace(brake_action=ValveAction.ON_NOW)
+    bench.run(520_000, lambda now_us: both)
+    assert bench.core.truth.violations[Violation.BRAKE_IN_GEAR] == 1
+
+
 def test_both_valves_of_a_sleeve_move_nothing_and_are_counted() -> None:
     bench = RigBench(thesis_rig(seed=5))
     on = ValveCommand(main_crawl_action=ValveAction.ON_NOW, main_third_action=ValveAction.ON_NOW)
