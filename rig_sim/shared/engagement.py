@@ -34,8 +34,9 @@ GRINDS_RAD_S: Final = 130.0 * RPM
 """Dog teeth that meet at more slip than this are damaged: no controller may fire or push a sleeve
 so. The slip that a controller's guard allows, 120 rpm, and the 10 rpm by which it may err."""
 MOVED_ON_US: Final = 40_000
-"""A pulse of the brake that began as a sleeve stood on a tooth may turn the gear into its gap: its
-valve is off again within this time."""
+"""A pulse of the brake that began with a sleeve at its gear's teeth (`AT_TEETH`), none in mesh, may
+turn the gear into its gap: its valve is off again within this time."""
+AT_TEETH: Final = (SleeveState.FACE, SleeveState.ENTER)
 GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
 
 
@@ -44,7 +45,7 @@ class Violation(IntEnum):
 
     TWO_GEARS = 0  # a second gear at its sleeve while one is in mesh
     # air let into the brake in gear, or its valve on when a gear locks: but for a short pulse that
-    # began as the sleeve stood on a tooth
+    # began as the sleeve stood on a tooth or went in
     BRAKE_IN_GEAR = 1
     BOTH_VALVES = 2  # both valves of one sleeve on
     SLIP_AT_CONTACT = 3  # a sleeve at a gear that turns against it faster than GRINDS_RAD_S
@@ -91,7 +92,7 @@ class Engagement(ABC, Generic[SleeveT]):
         self._energised: set[Valve] = set()
         self._blocked: set[Sleeve] = set()
         self._pulsed_us: float | None = None
-        """Since when the brake's valve is on that went on as a sleeve stood on a tooth."""
+        """Since when the brake's valve is on that went on with a sleeve at its gear's teeth."""
         self.scripted = False
         self.violations: Counter[Violation] = Counter()
         self.engaged: list[Engaged] = []
@@ -185,12 +186,12 @@ class Engagement(ABC, Generic[SleeveT]):
         self._violate(Violation.TWO_GEARS, time_us, f"{gear.name} pushed while a gear is in mesh")
 
     def _count_pulse(self, on: bool, time_us: float) -> None:
-        """The brake's valve has been switched: one that began on a tooth is looked at again as it
-        ends, since nothing else may be due until then."""
+        """The brake's valve has been switched: a pulse is looked at again as it ends, since nothing
+        else may be due until then."""
         if self._pulsed_us is not None and time_us - self._pulsed_us > MOVED_ON_US:
             self._violate_in_gear(time_us)
-        stands = any(sleeve.state is SleeveState.FACE for sleeve in self.sleeves.values())
-        is_pulse = on and stands and self._plant.shafts.lock is None
+        at_teeth = any(sleeve.state in AT_TEETH for sleeve in self.sleeves.values())
+        is_pulse = on and at_teeth and self._plant.shafts.lock is None
         self._pulsed_us = time_us if is_pulse else None
 
     def _count_brake_in_gear(self, time_us: float) -> None:

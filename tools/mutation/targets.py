@@ -29,6 +29,7 @@ _GUARD_TESTS: Final = (
     "tests/controller/test_guard.py",
     "tests/controller/test_guard_rows.py",
     "tests/controller/test_guard_brake.py",
+    "tests/controller/test_guard_face_pulse.py",
     "tests/controller/test_guard_sleeves.py",
     "tests/controller/test_guard_standing_sleeve.py",
     "tests/controller/test_guard_clock.py",
