@@ -127,7 +127,7 @@ def test_a_pulse_ends_as_soon_as_the_sleeve_has_entered(entered_mm: float) -> No
     assert is_on is (entered_mm < 0.3)
 
 
-def test_a_pulse_is_taken_back_where_the_gear_turns_before_its_air_comes() -> None:
+def test_a_pulse_is_withdrawn_where_the_gear_turns_before_its_air_comes() -> None:
     """The guard would take everything off: what stands no more needs no brake."""
     for slip_rpm in (3.0, -8.0):
         box = aimed(*UP[:2])
