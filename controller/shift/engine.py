@@ -354,11 +354,14 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
 def _braked_slip(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> float:
     """By how much more than a slip (rad/s) a gear is raised where the strategy aims: a pitch for
     each sleeve delay. The brake takes it away again, and by when it is released one gap or the next
-    is met (`synchronise`). No more than the input shaft's limit leaves to an engine
-    that overshoots."""
+    is met (`synchronise`). No more than the input shaft's limit leaves to an engine that
+    overshoots; nothing where drag takes as much by itself: there a firing chooses the phase."""
     sheet, target = context.sheet, context.running.target
+    most = sheet.dog.pitch_rad / sheet.sleeve.delay_s
+    if slip_rad_s - context.settings.window.aim_slip_rad_s > most:
+        return 0.0
     speed = context.engine_speed(target, slip_rad_s, snapshot)
     if speed is None or not context.strategist.acting(context.reference_known(target.main)).aims:
         return 0.0
     left = (sheet.limits.input_max_rad_s / OVERSHOOT - speed) * _gear_over_engine(context)
-    return max(0.0, min(left, sheet.dog.pitch_rad / sheet.sleeve.delay_s))
+    return max(0.0, min(left, most))

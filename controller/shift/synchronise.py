@@ -153,11 +153,15 @@ def _brakes_for_phase(
 ) -> bool:
     """Whether a gear that drag alone would slow down is braked all the same, once: its release
     chooses the phase at contact, drag does not. Only where the first contact that can be made
-    would come with more slip than is aimed for."""
+    would come with more slip than is aimed for, and where drag does not take a pitch for each
+    sleeve delay by itself: the brake would take far too much then."""
     if context.running.pulses > 0 or not _acting(context, predictor.gear).aims:
         return False
     first_us = snapshot.earliest_us + predictor.delay_us
-    return predictor.steady_slip_rad_s(first_us) > context.settings.window.aim_slip_rad_s
+    slip = predictor.steady_slip_rad_s(first_us)
+    fall = predictor.steady_slip_rad_s(snapshot.earliest_us) - slip
+    is_slow = fall * context.sheet.sleeve.delay_s < context.sheet.dog.pitch_rad
+    return is_slow and slip > context.settings.window.aim_slip_rad_s
 
 
 def _braked_lately(context: ShiftContext, snapshot: StepSnapshot) -> bool:
