@@ -91,6 +91,8 @@ class SleeveLaw:
         self.stroke_m = sleeve.stroke_m
         self.in_gear_m = sleeve.stroke_m - NEAR_STOP_M
         """A sleeve this far from neutral is in its gear."""
+        self.late_s = sleeve.delay_limit_s
+        """A valve shuts by no more than this later than it mostly does."""
         self.atmosphere_pa = air.atmosphere_pa
         self.sheet_pa = air.supply_gauge_pa
         """Gauge."""

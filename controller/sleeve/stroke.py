@@ -309,7 +309,8 @@ def may_be_thrown(sleeve: DrivenSleeve, direction: int) -> bool:
     if not off:
         return False
     unknowns = sleeve.unknowns(sleeve.switches)
-    unknowns[PARAMETERS + sleeve.switches.index(off[-1])] += LATE_SDS * sleeve.sd_of(off[-1])
+    late_s = min(LATE_SDS * sleeve.sd_of(off[-1]), sleeve.law.late_s)
+    unknowns[PARAMETERS + sleeve.switches.index(off[-1])] += late_s
     level_m = direction * (sleeve.law.face_m - NEAR_TEETH_M)
     way = sleeve.to_level(direction, level_m, off[-1].time_us + RESTS_US, unknowns)
     return way.crossed_us is not None

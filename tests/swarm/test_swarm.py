@@ -48,7 +48,7 @@ def deed_alone(name: str) -> World:
     events = [Event(at_ms, name, 0, 0.0, 4_000)]
     if deed.begins is not None and deed.begins.name != "IN_GEAR":
         events.append(Event(1_000, REQUEST, 0, 10.0))
-    return World(5, deed.start_gear, deed.layshaft_rpm, {}, tuple(sorted(events)), 5_000)
+    return World(6, deed.start_gear, deed.layshaft_rpm, {}, tuple(sorted(events)), 5_000)
 
 
 def deeds() -> Iterator[Any]:
