@@ -38,7 +38,7 @@ def sleeve_on_a_tooth(case: JudgedCommand, brake: Span) -> int | None:
     is_at_the_faces = abs(case.way_m(valve) - limits.contact_m) <= CLEAR_M
     may_last = lasts_us <= limits.face_pulse_us[valve]
     acts = now_us > brake.start_us + limits.brake_delay_us[0]
-    may_begin = now_us >= brake.start_us or _air_is_out(case)
+    may_begin = now_us > brake.start_us or _air_is_out(case)
     if is_at_the_faces and may_last and may_begin and (acts or _stands(case, valve)):
         return limits.main[valve].sleeve
     return None
