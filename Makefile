@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: dist sbom release publish docs-version dbc check long devices study swarm envelope dataset faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
+.PHONY: dist sbom release publish docs-version dbc check long devices notebooks study swarm envelope dataset faults planted mutants firmware-mutants firmware-tools firmware-lint digests demo docs test installed pythons wheel acceptance kernels vcan vcan-stand silkit vcan-alone controllers test-containers lint types reference figures figures-all contracts shape locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -32,6 +32,11 @@ $(VENV)/test.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt locks/
 	$(INSTALL) $(ITSELF)
 	touch $@ $(VENV)/run.stamp
 
+# A kernel to run notebooks in.
+$(VENV)/notebook.stamp: $(VENV)/test.stamp locks/notebook.txt
+	$(INSTALL) --require-hashes -r locks/notebook.txt
+	touch $@
+
 demo:
 	@begun=$$(date +%s) && $(MAKE) --no-print-directory $(VENV)/run.stamp && \
 	    MESHPOINT_SINCE=$$begun $(BIN)/meshpoint demo --out out/demo
@@ -44,7 +49,7 @@ test: kernels
 	$(SUITE) -m "not long and not check and not device"
 
 # Which these are: tests/conftest.py, and marks of single tests.
-check: kernels
+check: kernels $(VENV)/notebook.stamp
 	$(SUITE) -m "check and not long and not device"
 
 # What takes many seconds: whole documents held against runs, statistics over many shifts, crowds
@@ -56,6 +61,10 @@ long: kernels
 # captured edges (their folder: MESHPOINT_CAPTURES). What is not to be had here is skipped, and said.
 devices: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -m device $$(grep -rl --include='*.py' mark.device tests)
+
+# The notebooks of examples/ with what they show, after a change of them or of what a shift does.
+notebooks: kernels $(VENV)/notebook.stamp
+	$(BIN)/python tools/notebooks.py
 
 # The wheel as a user installs it, and every command of README's table once.
 installed: $(VENV)/test.stamp

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
 import runpy
-import sys
 from pathlib import Path
-from typing import Any
 
-import matplotlib.pyplot as plt
 import pytest
 
 import meshpoint
@@ -43,43 +38,6 @@ def test_own_controller_has_sixty_lines_and_shifts() -> None:
     assert (row.from_, row.to, row.result) == (8, 10, "engaged")
     assert again.result == "engaged" and again.contact in ("gap", "tooth")
     assert 0.0 < row.slip_rpm < 40.0
-
-
-def run_notebook(name: str) -> dict[str, Any]:
-    """The names that its cells make, run in order."""
-    plt.switch_backend("Agg")
-    notebook = json.loads((EXAMPLES / name).read_text())
-    names: dict[str, Any] = {}
-    for number, cell in enumerate(notebook["cells"]):
-        assert not cell.get("outputs"), "kept without its results"
-        if cell["cell_type"] == "code":
-            exec(compile("".join(cell["source"]), f"cell {number}", "exec"), names)
-    plt.close("all")
-    return names
-
-
-@pytest.mark.long
-def test_the_notebook_runs_from_log_to_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(plt, "show", lambda: None)
-    names = run_notebook("log_to_picture.ipynb")
-    assert (tmp_path / "notebook" / "shift.png").stat().st_size > 10_000
-    assert names["aimed"].reference == "known"
-
-
-@pytest.mark.long
-def test_the_notebook_drives_the_gearbox_as_an_fmu(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv(
-        "PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    )
-    names = run_notebook("fmu_shift.ipynb")
-    assert names["state"] == "in gear again"
-    assert (tmp_path / "shift.png").stat().st_size > 10_000
 
 
 @pytest.mark.long

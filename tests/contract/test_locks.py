@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LOCKS = sorted((ROOT / "locks").glob("*.txt"))
+EXTRAS = ("test", "notebook", "firmware", "docs", "release")
 PIN = re.compile(r"([\w.-]+)==([\w.]+)")
 
 
@@ -32,7 +33,7 @@ def requirements(lock: Path) -> list[str]:
 
 
 def test_every_pin_of_constraints_is_in_one_lock_with_its_version() -> None:
-    assert {path.stem for path in LOCKS} == {"build", "run", "test", "firmware", "docs", "release"}
+    assert {path.stem for path in LOCKS} == {"build", "run", *EXTRAS}
     locked: dict[str, str] = {}
     for lock in LOCKS:
         assert not locked.keys() & pins(lock).keys(), "a package is in one of them"
@@ -63,11 +64,7 @@ def test_what_the_project_asks_for_is_locked() -> None:
     asked = {
         "build": project["build-system"]["requires"],
         "run": project["project"]["dependencies"],
-        "test": project["project"]["optional-dependencies"]["test"],
-        "firmware": project["project"]["optional-dependencies"]["firmware"],
-        "docs": project["project"]["optional-dependencies"]["docs"],
-        "release": project["project"]["optional-dependencies"]["release"],
-    }
+    } | {name: project["project"]["optional-dependencies"][name] for name in EXTRAS}
     held: set[str] = set()
     for lock, wanted in asked.items():
         held |= pins(ROOT / "locks" / f"{lock}.txt").keys()
