@@ -355,9 +355,12 @@ def _braked_slip(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapsho
     """By how much more than a slip (rad/s) a gear is raised where the strategy aims: a pitch for
     each sleeve delay. The brake takes it away again, and by when it is released one gap or the next
     is met (`synchronise`). No more than the input shaft's limit leaves to an engine that
-    overshoots; nothing where drag takes as much by itself: there a firing chooses the phase."""
+    overshoots; nothing where drag takes as much by itself, where a firing chooses the phase, nor
+    after the range, whose main shaft swings on until the contact."""
     sheet, target = context.sheet, context.running.target
     most = sheet.dog.pitch_rad / sheet.sleeve.delay_s
+    if context.running.changes_range:
+        return 0.0
     if slip_rad_s - context.settings.window.aim_slip_rad_s > most:
         return 0.0
     speed = context.engine_speed(target, slip_rad_s, snapshot)

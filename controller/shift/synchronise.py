@@ -155,7 +155,8 @@ def _brakes_for_phase(
     chooses the phase at contact, drag does not. Only where the first contact that can be made
     would come with more slip than is aimed for, and where drag does not take a pitch for each
     sleeve delay by itself: the brake would take far too much then."""
-    if context.running.pulses > 0 or not _acting(context, predictor.gear).aims:
+    shift = context.running
+    if shift.pulses > 0 or shift.changes_range or not _acting(context, predictor.gear).aims:
         return False
     first_us = snapshot.earliest_us + predictor.delay_us
     slip = predictor.steady_slip_rad_s(first_us)

@@ -10,6 +10,7 @@ from meshpoint.controller.plan.strategist import Plan
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
 from meshpoint.gearbox import DriveGear, Range, Split
+from meshpoint.gearbox.gears import DRIVE_GEARS
 
 
 class Trigger(IntEnum):
@@ -176,6 +177,12 @@ class ShiftRecord:
     result: ShiftResult = ShiftResult.NONE
     fault: FaultCode = FaultCode.NONE
     end_us: int | None = None
+
+    @property
+    def changes_range(self) -> bool:
+        """Whether the range box changes, too: it leaves the main shaft swinging."""
+        before = DRIVE_GEARS.get(self.from_number)
+        return before is not None and before.range_ is not self.target.range_
 
     @property
     def over(self) -> bool:
