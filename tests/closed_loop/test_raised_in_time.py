@@ -42,10 +42,12 @@ def test_the_engine_has_risen_when_the_plates_meet(downshifts: list[ShiftRow]) -
         assert 130.0 < row.phases.raising_ms < 320.0
 
 
-def test_the_layshaft_is_let_go_at_a_slip_that_needs_no_brake(downshifts: list[ShiftRow]) -> None:
+def test_a_gear_whose_phase_is_known_is_braked_for_it_and_no_other(
+    downshifts: list[ShiftRow],
+) -> None:
     """And its first contact is made before drag has taken the slip beyond the least allowed."""
     window = ControllerSettings().window
     for row in downshifts:
-        assert row.phases.braking_ms is None
+        assert (row.phases.braking_ms is not None) is (row.reference == "known")
         assert row.slip_rpm is not None
         assert window.contact_low_rad_s < row.slip_rpm * RPM < 30.0 * RPM

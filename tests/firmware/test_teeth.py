@@ -200,7 +200,7 @@ def test_a_rig_whose_clock_jumps_ahead_is_found_by_the_next_second(
     boards.hear(each for each in rig if each[0] < ahead[0][0])
     boards.hear(ahead)
     boards.advance_by(2 * DELAY_US)
-    assert missed(read_back(ahead, boards, from_us=2_300_000), least=50) == 0
+    assert missed(read_back(ahead, boards, from_us=2_200_000), least=50) == 0
 
 
 PINS = (("A", 0), ("A", 1), ("B", 10), ("B", 11))
