@@ -31,7 +31,8 @@ from meshpoint.units import SECOND_US
 CLEAR_M: Final = 1.0e-3
 """A sleeve this far before a gear's teeth has none between them."""
 PRESSED_PA: Final = 0.8e5
-"""With more than this, gauge, the brake presses: the guard lets no gear be pulled out then."""
+"""With more than this, gauge, the brake presses: no gear is pulled out then, and no tooth moved on
+by another pulse. The guard draws the line a little higher."""
 BRAKES_US: Final = 20 * MS_IN_US
 """So soon after the end of a push a pulse against it brakes."""
 _OTHER: Final = {SLEEVE_VALVE[gear]: OPPOSITE[gear] for gear in MAIN_GEARS}

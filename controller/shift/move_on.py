@@ -19,6 +19,7 @@ from meshpoint.controller.models.layshaft import LayshaftState, predict, switche
 from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import FOREVER_US, ShiftContext
+from meshpoint.controller.shift.disengage import PRESSED_PA
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.units import RPM, SECOND_US
@@ -27,9 +28,6 @@ RESTED_US: Final = 15 * MS_IN_US
 """A sleeve that has not entered so long after contact is on a tooth: a gap shows sooner."""
 STANDS_RAD_S: Final = 5.0 * RPM
 """A gear slower against its sleeve than this is taken to stand: an error of the speeds."""
-RELEASED_PA: Final = 0.8e5
-"""With more pressure than this the brake still acts, from before or by the pulse before; the guard
-draws the line a little higher."""
 PULSES: Final = 2
 """This often a tooth is moved on; then its sleeve goes back."""
 LEAST_US: Final = 5 * MS_IN_US
@@ -95,7 +93,7 @@ def _is_released(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     switches, brake = context.brake.switches, context.sheet.brake
     shows_us = (brake.greatest_valve_delay_s + brake.time_constant_s) * SECOND_US
     is_shown = not switches or snapshot.now_us - switches[-1].time_us > shows_us
-    return is_shown and snapshot.view.brake_gauge_pa <= RELEASED_PA
+    return is_shown and snapshot.view.brake_gauge_pa <= PRESSED_PA
 
 
 def _pulse_us(context: ShiftContext, snapshot: StepSnapshot) -> int:

@@ -111,8 +111,8 @@ def test_no_pulse_where_the_brake_might_stall_the_layshaft() -> None:
     assert pressed.pulses_us == []
 
 
-@pytest.mark.parametrize("entered_mm", [0.2, 0.4])
-def test_a_pulse_ends_as_soon_as_the_sleeve_has_entered(entered_mm: float) -> None:
+def pulsed() -> Box:
+    """A shift up whose gear stands with its sleeve on a tooth, as the pulse is commanded."""
     box = aimed(*UP[:2])
     box.face = lambda _: True
     box.ask(UP[2])
@@ -120,6 +120,12 @@ def test_a_pulse_ends_as_soon_as_the_sleeve_has_entered(entered_mm: float) -> No
         box.step()
         if box.state is State.ENGAGING:
             box.layshaft = box.main / SHEET.main_mesh(GEAR).ratio
+    return box
+
+
+@pytest.mark.parametrize("entered_mm", [0.2, 0.4])
+def test_a_pulse_ends_as_soon_as_the_sleeve_has_entered(entered_mm: float) -> None:
+    box = pulsed()
     box.stuck = {FIRST_SECOND}
     box.position_m[FIRST_SECOND] = CONTACT_M + 1e-3 * entered_mm
     box.step()
@@ -130,13 +136,7 @@ def test_a_pulse_ends_as_soon_as_the_sleeve_has_entered(entered_mm: float) -> No
 def test_a_pulse_is_withdrawn_where_the_gear_turns_before_its_air_comes() -> None:
     """The guard would take everything off: what stands no more needs no brake."""
     for slip_rpm in (3.0, -8.0):
-        box = aimed(*UP[:2])
-        box.face = lambda _: True
-        box.ask(UP[2])
-        while not (box.state is State.ENGAGING and box.board.command(BRAKE).on):
-            box.step()
-            if box.state is State.ENGAGING:
-                box.layshaft = box.main / SHEET.main_mesh(GEAR).ratio
+        box = pulsed()
         box.propeller -= slip_rpm * RPM * SHEET.range_mesh(box.range).ratio
         box.step()
         assert box.board.command(BRAKE).on is (abs(slip_rpm) < 5.0)
