@@ -25,7 +25,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.messages import MainGear as WireGear
-from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.gears import Sleeve, SplitGear
 from meshpoint.rig_sim.settings import CLOCK_MODULUS
 from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.shared.angles import Angle
@@ -81,15 +81,20 @@ def read_messages(world: RigWorld, now_us: int, with_truth: bool = True) -> list
 
 
 def engagement_message(record: Engaged, clock: SensorClock) -> ReferenceEngagement:
-    """An event between gear and sleeve; its time is rounded down to the microsecond."""
-    tally = record.tally
+    """An event between gear and sleeve; its time is rounded down to the microsecond. Of a splitter
+    with dog teeth the gear is neutral and the drive gear 1 for the low step, 2 for the high one."""
+    tally, gear, drive_gear = record.tally, WireGear.NEUTRAL, record.drive_gear
+    if isinstance(record.gear, SplitGear):
+        drive_gear = record.gear.split + 1
+    else:
+        gear = WireGear(record.gear)
     return ReferenceEngagement(
         event_time_us=clock.at(record.time_us) % CLOCK_MODULUS,
         event=record.event,
-        gear=WireGear(record.gear),
+        gear=gear,
         phase_rad=record.phase_rad,
         slip_rad_s=record.slip_rad_s,
-        drive_gear=record.drive_gear,
+        drive_gear=drive_gear,
         impact_energy_j=min(tally.impact_j, MOST_IMPACT_J),
         face_time_us=min(tally.face_us, MOST_FACE_US),
         ratchets=min(tally.ratchets, MOST_RATCHETS),

@@ -100,12 +100,15 @@ def gearbox_page() -> str:
             continue
         lines += ["", f"## `[{group.name}]`" if group.name else "## At the top", ""]
         lines += [group.meaning, ""] if group.name else []
+        # No sheet of ours has teeth of its own for its splitter.
+        having = () if group.name == "splitter.dog" else sheets
         rows = [
             (f"`{key.name}`", key.unit, key.allowed, key.meaning,
-             *(f"`{rounded(sheet[index].keys[k].default)}`" for sheet in sheets))
+             *(f"`{rounded(sheet[index].keys[k].default)}`" for sheet in having))
             for k, key in enumerate(group.keys)
         ]  # fmt: skip
-        lines += _table(("key", "unit", "allowed", "meaning", *SHEET_NAMES), rows)
+        names = SHEET_NAMES if having else ()
+        lines += _table(("key", "unit", "allowed", "meaning", *names), rows)
     return "\n".join(lines) + "\n"
 
 

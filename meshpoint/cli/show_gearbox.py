@@ -12,7 +12,7 @@ from rich.table import Table
 
 from meshpoint.base.exits import Exit
 from meshpoint.cli import arguments
-from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.gearbox import GearboxSheet, Sleeve, load_sheet
 from meshpoint.gearbox.derived import SheetFigures, sheet_figures
 from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.gearbox.sheet import SHEET_NAMES
@@ -67,7 +67,9 @@ def run(namespace: argparse.Namespace) -> int:
 def sheet_toml(sheet: GearboxSheet) -> str:
     """A data sheet as a file with every key explained; read again it is the same sheet."""
     title = f"Data sheet {sheet.name}, sha256 {sheet.sha256}; `--gearbox FILE` takes it."
-    return to_toml(groups_of(GearboxSheet, sheet), title)
+    left_out = "splitter.dog" if sheet.splitter.dog is None else None
+    groups = [group for group in groups_of(GearboxSheet, sheet) if group.name != left_out]
+    return to_toml(groups, title)
 
 
 def _gear_table(sheet: GearboxSheet, figures: SheetFigures) -> Table:
@@ -109,9 +111,22 @@ def _derived(sheet: GearboxSheet, figures: SheetFigures) -> str:
         f"{1e3 * dog.radius_m:.0f} mm, met by chance {100 * dog.backlash_share:.0f} times of 100\n"
         f"sleeve: contact {1e3 * sleeve.delay_s:.0f} ms +- {1e3 * sleeve.delay_limit_s:.0f} ms "
         f"after its valve; that spread alone stays in the gap {bound}\n"
+        f"splitter: {_splitter(sheet)}\n"
         f"layshaft, clutch open: {low_inertia:.4f} kg m2 in low split, {high_inertia:.4f} in high; "
         f"full brake {low_rpm_s:.0f} and {high_rpm_s:.0f} rpm/s\n"
         f"sensor wheels: input {wheels.input_.teeth}, layshaft {wheels.layshaft.teeth}, "
         f"main {wheels.main.teeth}, propeller {wheels.propeller.teeth} teeth\n"
         f"sha256 {sheet.sha256}"
+    )
+
+
+def _splitter(sheet: GearboxSheet) -> str:
+    """What engages its steps."""
+    if not sheet.has_dog_splitter:
+        return "friction cones"
+    dog, sleeve = sheet.teeth_of(Sleeve.SPLITTER), sheet.sleeve
+    return (
+        f"dog teeth {dog.teeth}, gap {math.degrees(dog.backlash_rad):.3f} deg; "
+        f"contact {1e3 * sleeve.delay_s:.0f} ms +- {1e3 * sleeve.delay_limit_s:.0f} ms after its "
+        f"valve"
     )

@@ -36,6 +36,23 @@ class Split(IntEnum):
     HIGH = 1
 
 
+class SplitGear(IntEnum):
+    """The two gears of the splitter, loose on the input shaft, where its sleeve has dog teeth and
+    no cones. The values go on after those of `MainGear`: both are keys of the same tables."""
+
+    LOW_SPLIT = 5
+    HIGH_SPLIT = 6
+
+    @property
+    def split(self) -> Split:
+        """The step that it makes."""
+        return Split.LOW if self is SplitGear.LOW_SPLIT else Split.HIGH
+
+
+DogGear = MainGear | SplitGear
+"""A gear that a sleeve engages by dog teeth alone."""
+
+
 class Range(IntEnum):
     """Range step between main shaft and propeller shaft."""
 
@@ -69,6 +86,13 @@ SLEEVE_OF_MAIN: Final[dict[MainGear, SleeveSide]] = {
     MainGear.CRAWL: SleeveSide(Sleeve.CRAWL_THIRD, -1),
     MainGear.THIRD: SleeveSide(Sleeve.CRAWL_THIRD, +1),
 }
+SPLIT_GEARS: Final = (SplitGear.LOW_SPLIT, SplitGear.HIGH_SPLIT)
+SPLIT_GEAR: Final = {gear.split: gear for gear in SPLIT_GEARS}
+SIDE_OF: Final[dict[DogGear, SleeveSide]] = dict(SLEEVE_OF_MAIN) | {
+    SplitGear.LOW_SPLIT: SleeveSide(Sleeve.SPLITTER, -1),
+    SplitGear.HIGH_SPLIT: SleeveSide(Sleeve.SPLITTER, +1),
+}
+"""The same of all that may have dog teeth."""
 MAIN_GEARS: Final = (MainGear.CRAWL, MainGear.FIRST, MainGear.SECOND, MainGear.THIRD)
 
 

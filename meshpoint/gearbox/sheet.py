@@ -24,7 +24,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from meshpoint.gearbox.driveline import Axle, Driveline, Engine
-from meshpoint.gearbox.gears import MAIN_GEARS, DriveGear, MainGear, Range, Split
+from meshpoint.gearbox.gears import (
+    MAIN_GEARS,
+    SPLIT_GEARS,
+    DogGear,
+    DriveGear,
+    MainGear,
+    Range,
+    Sleeve,
+    Split,
+    SplitGear,
+)
 from meshpoint.gearbox.tables import (
     TableError,
     count,
@@ -40,12 +50,14 @@ from meshpoint.gearbox.tables import (
 )
 from meshpoint.units import BAR, CM2, CM3, MM, MS, RPM
 
-SHEET_NAMES: Final = ("thesis", "truck12")
+SHEET_NAMES: Final = ("thesis", "truck12", "thesis-dog", "truck12-dog")
 BASED_ON: Final = "based_on"
 """A key of a sheet's file: the sheet that holds what this one leaves out."""
 MOST_OVERLAYS: Final = 8
 SENSOR_SD_PA: Final = 0.01 * BAR
 """Noise of the brake's pressure sensor where a sheet does not say: a thousandth of 10 bar."""
+SPLITTER_CHOICE: Final = {"engagement": "cones", "dog": None}
+"""What a sheet's splitter is where it does not say."""
 LEAST_RUN: Final = 6
 """Teeth in a row that a sensor wheel needs somewhere, to see its speed."""
 _MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
@@ -84,14 +96,6 @@ class Mesh:
     def ratio(self) -> float:
         """The same as the nearest float."""
         return self.driving / self.driven
-
-
-@dataclass(frozen=True)
-class Splitter:
-    """Input shaft (driving) to layshaft (driven)."""
-
-    low: Mesh = group(Mesh)
-    high: Mesh = group(Mesh)
 
 
 @dataclass(frozen=True)
@@ -310,6 +314,23 @@ class SleeveActuator:
 
 
 @dataclass(frozen=True)
+class Splitter:
+    """Input shaft (driving) to layshaft (driven)."""
+
+    low: Mesh = group(Mesh)
+    high: Mesh = group(Mesh)
+    engagement: str = text("engagement", "cones", "dog", default="cones")
+    """What engages a step: friction cones, which bring the shafts together, or dog teeth alone, as
+    in the main box (thesis 2.1)."""
+    dog: DogTeeth | None = group(DogTeeth, default=None)
+    """Its dog teeth; left out, they are as those of the main box."""
+
+    def __post_init__(self) -> None:
+        if self.dog is not None and self.engagement == "cones":
+            raise TableError('engagement = "cones" with a table dog, allowed is "dog"')
+
+
+@dataclass(frozen=True)
 class Clutch:
     """Clutch actuator as a delay from command to fully open and to fully closed."""
 
@@ -373,6 +394,28 @@ class GearboxSheet:
         mesh: Mesh = getattr(self.main, _MAIN_FIELD[gear])
         return mesh
 
+    @property
+    def has_dog_splitter(self) -> bool:
+        """Whether the splitter's sleeve has dog teeth alone."""
+        return self.splitter.engagement == "dog"
+
+    @property
+    def dog_gears(self) -> tuple[DogGear, ...]:
+        """All gears that are engaged by dog teeth alone."""
+        return (*MAIN_GEARS, *SPLIT_GEARS) if self.has_dog_splitter else MAIN_GEARS
+
+    def dog_mesh(self, gear: DogGear) -> Mesh:
+        """The wheel pair from the layshaft to a gear that a sleeve engages, on the main shaft or on
+        the input shaft. KeyError for neutral."""
+        if isinstance(gear, SplitGear):
+            mesh = self.split_mesh(gear.split)
+            return Mesh(mesh.driven, mesh.driving)
+        return self.main_mesh(gear)
+
+    def teeth_of(self, sleeve: Sleeve) -> DogTeeth:
+        """The dog teeth of a sleeve and its gears."""
+        return self.splitter.dog or self.dog if sleeve is Sleeve.SPLITTER else self.dog
+
     def split_mesh(self, split: Split) -> Mesh:
         """The wheel pair of a splitter step."""
         return self.splitter.low if split is Split.LOW else self.splitter.high
@@ -410,7 +453,11 @@ class GearboxSheet:
 
     def canonical(self) -> str:
         """The sheet as one line of JSON with sorted keys: what its hash and the run header hold."""
-        return json.dumps(to_table(self), sort_keys=True, separators=(",", ":"))
+        table = to_table(self)
+        if not self.has_dog_splitter:  # as sheets were before there was a choice
+            for key in SPLITTER_CHOICE:
+                del table["splitter"][key]
+        return json.dumps(table, sort_keys=True, separators=(",", ":"))
 
     @property
     def sha256(self) -> str:
@@ -454,11 +501,14 @@ def _tables(path: Path, overlays: int) -> dict[str, Any]:
     if base in SHEET_NAMES:
         source = resources.files("meshpoint.gearbox") / "sheets" / f"{base}.toml"
         with resources.as_file(source) as below:
-            return merged_tables(load_toml(below), tables)
+            return merged_tables(_tables(below, overlays - 1), tables)
     return merged_tables(_tables(path.parent / base, overlays - 1), tables)
 
 
 def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:
     """The inverse of `canonical`, parsed: how a run header gives back its sheet (SI values).
     TableError names key, found and allowed."""
+    splitter = values.get("splitter")
+    if isinstance(splitter, dict) and not set(SPLITTER_CHOICE) & set(splitter):
+        values = values | {"splitter": SPLITTER_CHOICE | splitter}
     return read_values(GearboxSheet, values, "sheet")

@@ -172,6 +172,8 @@ def _value(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
     """A value in SI, as it is: what is hashed must come back bit for bit."""
     rule: Rule | None = field.metadata.get("rule")
     if rule is None:
+        if value is None and field.default is None:
+            return None
         return read_values(field.metadata["group"], value, where)
     limits = dataclasses.replace(rule, low=rule.low * rule.si, high=rule.high * rule.si)
     if rule.kind is list:

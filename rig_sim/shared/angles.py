@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Split
+from meshpoint.gearbox.gears import MAIN_GEARS, DogGear, MainGear, Range, Split
 from meshpoint.gearbox.sheet import GearboxSheet, Mesh
 from meshpoint.rig_sim.shared.angle_kernels import geared, settled, wrapped
 
@@ -56,7 +56,7 @@ class Shafts:
         self._sheet = sheet
         self._pitch_rad = sheet.dog.pitch_rad
         self._teeth = sheet.dog.teeth
-        self._meshes = {gear: sheet.main_mesh(gear) for gear in MAIN_GEARS}
+        self._meshes: dict[DogGear, Mesh] = {gear: sheet.main_mesh(gear) for gear in MAIN_GEARS}
         self._load_meshes(split, range_)
         self.layshaft: Angle = (0, start.layshaft_rad)
         self.main: Angle = (0, start.main_rad)
@@ -64,7 +64,7 @@ class Shafts:
         self.propeller: Angle = (0, start.propeller_rad)
         self._input_offset = ZERO
         self._propeller_offset = ZERO
-        self._gear_offset_rad = {
+        self._gear_offset_rad: dict[DogGear, float] = {
             gear: wrapped(
                 start.phase_rad[gear] + self.main[1] - self._gear_angle(gear)[1], self._pitch_rad
             )
@@ -80,7 +80,7 @@ class Shafts:
         self.input = over(self.layshaft, self.input_mesh, self._input_offset)
         self.propeller = over(self.main, self.propeller_mesh, self._propeller_offset)
 
-    def phase_rad(self, gear: MainGear) -> float:
+    def phase_rad(self, gear: DogGear) -> float:
         """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
         if self.lock is not None and self.lock.gear is gear:
             return self.lock.phase_rad
@@ -112,7 +112,7 @@ class Shafts:
         base = over(self.main, self.propeller_mesh, ZERO)
         self._propeller_offset = less(self.propeller, base)
 
-    def _gear_angle(self, gear: MainGear) -> Angle:
+    def _gear_angle(self, gear: DogGear) -> Angle:
         return over(self.layshaft, self._meshes[gear], ZERO)
 
     def _locked_layshaft(self, lock: Lock) -> Angle:

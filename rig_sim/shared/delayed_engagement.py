@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Generic, TypeVar
 
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.gears import MAIN_SLEEVES, SIDE_OF, DogGear, Sleeve
 from meshpoint.rig_sim.shared.engagement import Engagement
 from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
 
@@ -26,9 +26,11 @@ class EngagementByDelay(Engagement[AxisT], Generic[AxisT]):
                 sleeve.arrive(time_us)
                 self._blocked.discard(name)
 
-    def script_release(self, time_us: float, duration_s: float) -> None:
-        """The bench moves every main sleeve to neutral, within this time."""
-        for sleeve in self.sleeves.values():
+    def script_release(
+        self, time_us: float, duration_s: float, names: tuple[Sleeve, ...] = MAIN_SLEEVES
+    ) -> None:
+        """The bench moves these sleeves to neutral, within this time."""
+        for sleeve in map(self.sleeves.__getitem__, names):
             if sleeve.state in (SleeveState.NEUTRAL, SleeveState.RETRACT):
                 continue  # neutral is there or near: nothing takes a sleeve longer than the script
             if sleeve.stands(time_us):
@@ -36,9 +38,9 @@ class EngagementByDelay(Engagement[AxisT], Generic[AxisT]):
             else:
                 sleeve.let_go(time_us)
 
-    def script_engage(self, gear: MainGear, time_us: float) -> None:
+    def script_engage(self, gear: DogGear, time_us: float) -> None:
         """The bench moves the sleeve of this gear in, with a delay drawn as ever."""
-        where = SLEEVE_OF_MAIN[gear]
+        where = SIDE_OF[gear]
         delay_s = self._delay_s(where.sleeve, where.direction)
         self.sleeves[where.sleeve].engage(time_us, where.direction, delay_s)
 

@@ -16,7 +16,7 @@ from enum import IntEnum
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from meshpoint.dbc.messages import EngagementEvent
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.gears import MAIN_SLEEVES, SIDE_OF, DogGear, MainGear, Sleeve, SplitGear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
 from meshpoint.rig_sim.shared.sleeves import MainSleeve, SleeveState
@@ -30,6 +30,13 @@ GEAR_OF_VALVE: Final[dict[Valve, MainGear]] = {
     Valve.MAIN_THIRD: MainGear.THIRD,
 }
 VALVE_OF_MAIN: Final = {gear: valve for valve, gear in GEAR_OF_VALVE.items()}
+DOG_OF_VALVE: Final[dict[Valve, DogGear]] = {
+    **GEAR_OF_VALVE,
+    Valve.SPLIT_LOW: SplitGear.LOW_SPLIT,
+    Valve.SPLIT_HIGH: SplitGear.HIGH_SPLIT,
+}
+VALVE_OF_DOG: Final = {gear: valve for valve, gear in DOG_OF_VALVE.items()}
+"""The same of all sleeves that may have dog teeth."""
 GRINDS_RAD_S: Final = 130.0 * RPM
 """Dog teeth that meet at more slip than this are damaged: no controller may fire or push a sleeve
 so. The slip that a controller's guard allows, 120 rpm, and the 10 rpm by which it may err."""
@@ -37,7 +44,7 @@ MOVED_ON_US: Final = 40_000
 """A pulse of the brake that began with a sleeve at its gear's teeth (`AT_TEETH`), none in mesh, may
 turn the gear into its gap: its valve is off again within this time."""
 AT_TEETH: Final = (SleeveState.FACE, SleeveState.ENTER)
-GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
+GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SIDE_OF.items()}
 
 
 class Violation(IntEnum):
@@ -68,7 +75,7 @@ class Engaged(NamedTuple):
     """An event between gear and sleeve; slip before any impact. drive_gear: Ready only."""
 
     event: EngagementEvent
-    gear: MainGear
+    gear: DogGear
     time_us: float
     phase_rad: float
     slip_rad_s: float
@@ -80,7 +87,8 @@ SleeveT = TypeVar("SleeveT", bound=MainSleeve)
 
 
 class Engagement(ABC, Generic[SleeveT]):
-    """The two main sleeves, their valves, and what happened to them; common to all presets."""
+    """The sleeves with dog teeth, their valves, and what happened to them; common to all
+    presets."""
 
     def __init__(
         self, sheet: GearboxSheet, plant: Rotation, sleeves: dict[Sleeve, SleeveT]
@@ -103,18 +111,18 @@ class Engagement(ABC, Generic[SleeveT]):
         """When a contact, the end of an overlap or an arrival in neutral is due."""
         return min(sleeve.next_us for sleeve in self.sleeves.values())
 
-    def gear_at(self, name: Sleeve) -> MainGear:
+    def gear_at(self, name: Sleeve) -> DogGear:
         """The gear a sleeve is at, or moves to or from."""
         return GEAR_AT.get((name, self.sleeves[name].side), MainGear.NEUTRAL)
 
     def switch(self, valve: Valve, on: bool, time_us: float) -> None:
-        """A main valve or the brake valve has been switched."""
+        """A valve of a sleeve with dog teeth or the brake valve has been switched."""
         (self._energised.add if on else self._energised.discard)(valve)
         if valve is Valve.BRAKE:
             self._count_pulse(on, time_us)
             return
-        where = SLEEVE_OF_MAIN[GEAR_OF_VALVE[valve]]
-        opposite = VALVE_OF_MAIN[GEAR_AT[where.sleeve, -where.direction]]
+        where = SIDE_OF[DOG_OF_VALVE[valve]]
+        opposite = VALVE_OF_DOG[GEAR_AT[where.sleeve, -where.direction]]
         if on and opposite in self._energised:
             self._violate(Violation.BOTH_VALVES, time_us, f"both valves of {where.sleeve.name} on")
         if self.scripted:
@@ -140,11 +148,13 @@ class Engagement(ABC, Generic[SleeveT]):
         """Do what is due now; the plant stands at this instant."""
 
     @abstractmethod
-    def script_release(self, time_us: float, duration_s: float) -> None:
-        """The bench moves every main sleeve to neutral, within this time."""
+    def script_release(
+        self, time_us: float, duration_s: float, names: tuple[Sleeve, ...] = MAIN_SLEEVES
+    ) -> None:
+        """The bench moves these sleeves to neutral, within this time."""
 
     @abstractmethod
-    def script_engage(self, gear: MainGear, time_us: float) -> None:
+    def script_engage(self, gear: DogGear, time_us: float) -> None:
         """The bench moves the sleeve of this gear in."""
 
     def ready(self, gear: MainGear, drive_gear: int) -> None:
@@ -169,7 +179,7 @@ class Engagement(ABC, Generic[SleeveT]):
         """The teeth leave each other."""
 
     def _meets(
-        self, event: EngagementEvent, gear: MainGear, phase_rad: float, slip_rad_s: float
+        self, event: EngagementEvent, gear: DogGear, phase_rad: float, slip_rad_s: float
     ) -> None:
         """A sleeve has come to this gear, at a gap or a tooth; whatever has sent it there."""
         self._note(event, gear, phase_rad, slip_rad_s)
@@ -178,7 +188,9 @@ class Engagement(ABC, Generic[SleeveT]):
             self._violate(Violation.SLIP_AT_CONTACT, self._plant.time_us, text)
 
     def _another_meshed(self, name: Sleeve) -> bool:
-        return any(sleeve.meshed for other, sleeve in self.sleeves.items() if other is not name)
+        """Whether the main box is in another gear."""
+        others = [each for each in MAIN_SLEEVES if name in MAIN_SLEEVES and each is not name]
+        return any(self.sleeves[each].meshed for each in others)
 
     def _block(self, name: Sleeve, time_us: float) -> None:
         self._blocked.add(name)
@@ -190,7 +202,7 @@ class Engagement(ABC, Generic[SleeveT]):
         else may be due until then."""
         if self._pulsed_us is not None and time_us - self._pulsed_us > MOVED_ON_US:
             self._violate_in_gear(time_us)
-        at_teeth = any(sleeve.state in AT_TEETH for sleeve in self.sleeves.values())
+        at_teeth = any(self.sleeves[name].state in AT_TEETH for name in MAIN_SLEEVES)
         is_pulse = on and at_teeth and self._plant.shafts.lock is None
         self._pulsed_us = time_us if is_pulse else None
 
@@ -212,7 +224,7 @@ class Engagement(ABC, Generic[SleeveT]):
     def _note(
         self,
         event: EngagementEvent,
-        gear: MainGear,
+        gear: DogGear,
         phase_rad: float,
         slip_rad_s: float,
         drive_gear: int = 0,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Protocol
 
-from meshpoint.gearbox.gears import MainGear, Range, Sleeve, Split
+from meshpoint.gearbox.gears import DogGear, MainGear, Range, Sleeve, Split
 
 
 class Drive(IntEnum):
@@ -27,7 +27,7 @@ class Angles(Protocol):
     def lock(self) -> Held | None:
         """The main-box gear that drives the layshaft."""
 
-    def phase_rad(self, gear: MainGear) -> float:
+    def phase_rad(self, gear: DogGear) -> float:
         """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
 
 
@@ -62,7 +62,7 @@ class Rotation(Protocol):
     def brake_gauge_pa(self) -> float:
         """Gauge pressure between valve and brake."""
 
-    def slip_rad_s(self, gear: MainGear) -> float:
+    def slip_rad_s(self, gear: DogGear) -> float:
         """Speed of the gear less that of its sleeve."""
 
     def coast(self) -> None:
@@ -70,6 +70,13 @@ class Rotation(Protocol):
 
     def script_layshaft(self, accel_rad_s2: float) -> None:
         """The bench drives the layshaft at constant acceleration."""
+
+    @property
+    def input_rad_s(self) -> float:
+        """Input shaft speed."""
+
+    def script_input(self, accel_rad_s2: float) -> None:
+        """The bench drives an input shaft that is in no step, at constant acceleration."""
 
     def script_main(self, accel_rad_s2: float) -> None:
         """The bench drives the main shaft at constant acceleration."""

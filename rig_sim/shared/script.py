@@ -17,12 +17,16 @@ from typing import Any, Final, Protocol
 
 from meshpoint.gearbox.gears import (
     DRIVE_GEARS,
+    MAIN_SLEEVES,
+    SIDE_OF,
     SLEEVE_OF_MAIN,
+    SPLIT_GEAR,
     DriveGear,
     MainGear,
     Range,
     Sleeve,
     Split,
+    SplitGear,
 )
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.settings import RETURN_RAMP_S
@@ -76,6 +80,11 @@ class BenchScript:
         self.splitter = ShiftingSleeve(sheet.sleeve, 1 if gear.split is Split.HIGH else -1)
         self.range_ = ShiftingSleeve(sheet.sleeve, 1 if gear.range_ is Range.HIGH else -1)
         self.steps = {Sleeve.SPLITTER: self.splitter, Sleeve.RANGE: self.range_}
+        """By sleeve: those that are no dog teeth's."""
+        if sheet.has_dog_splitter:
+            del self.steps[Sleeve.SPLITTER]
+        self._split: SplitGear | None = None
+        """The step into which the bench moves a splitter with dog teeth."""
 
     @property
     def next_us(self) -> float:
@@ -95,7 +104,9 @@ class BenchScript:
         self._plant.script_main(0.0)
         if self._plant.shafts.lock is None:
             self._plant.coast()
-        self._engagement.script_release(self._plant.time_us, RELEASE_S)
+        self._split = self._other_split()
+        names = MAIN_SLEEVES if self._split is None else (*MAIN_SLEEVES, Sleeve.SPLITTER)
+        self._engagement.script_release(self._plant.time_us, RELEASE_S, names)
         self._stage_end_us = self._plant.time_us + RELEASE_S * SECOND_US
 
     def due(self, time_us: float) -> None:
@@ -112,9 +123,20 @@ class BenchScript:
     def watch(self) -> None:
         """After any event: once the gear is locked, wait for its sleeve's full stroke."""
         if self.stage is ScriptStage.ENGAGE and self._stage_end_us == NEVER_US:
-            sleeve = self._engagement.sleeves[self._name]
-            if sleeve.state is SleeveState.LOCKED:
-                self._stage_end_us = max(sleeve.stroke_end_us, self._plant.time_us)
+            names = [self._name] if self._split is None else [self._name, Sleeve.SPLITTER]
+            sleeves = [self._engagement.sleeves[name] for name in names]
+            if all(sleeve.state is SleeveState.LOCKED for sleeve in sleeves):
+                ends_us = [sleeve.stroke_end_us for sleeve in sleeves]
+                self._stage_end_us = max(*ends_us, self._plant.time_us)
+
+    def _other_split(self) -> SplitGear | None:
+        """The step of the gear, where a splitter with dog teeth does not stand in it."""
+        if self._gear is None or not self._sheet.has_dog_splitter:
+            return None
+        wanted = SPLIT_GEAR[self._gear.split]
+        sleeve = self._engagement.sleeves[Sleeve.SPLITTER]
+        is_in = sleeve.state is SleeveState.LOCKED and sleeve.side == SIDE_OF[wanted].direction
+        return None if is_in else wanted
 
     @property
     def _main_gear(self) -> MainGear:
@@ -135,12 +157,17 @@ class BenchScript:
         slip_rad_s = min(SLIP_RAD_S, self._sheet.dog.backlash_rad / LEAST_IN_GAP_S)
         target_rad_s = (self._main_rad_s + slip_rad_s) / ratio
         plant.script_layshaft((target_rad_s - plant.layshaft_rad_s) / self.ramp_s)
-        for sleeve, is_high in (
-            (self.splitter, self._gear.split is Split.HIGH),
-            (self.range_, self._gear.range_ is Range.HIGH),
+        if self._split is not None:
+            dog = self._sheet.teeth_of(Sleeve.SPLITTER)
+            slip_rad_s = min(SLIP_RAD_S, dog.backlash_rad / LEAST_IN_GAP_S)
+            wanted = target_rad_s * self._sheet.dog_mesh(self._split).ratio - slip_rad_s
+            plant.script_input((wanted - plant.input_rad_s) / self.ramp_s)
+        for name, is_high in (
+            (Sleeve.SPLITTER, self._gear.split is Split.HIGH),
+            (Sleeve.RANGE, self._gear.range_ is Range.HIGH),
         ):
-            side = 1 if is_high else -1
-            if sleeve.side != side or sleeve.loose:
+            side, sleeve = 1 if is_high else -1, self.steps.get(name)
+            if sleeve is not None and (sleeve.side != side or sleeve.loose):
                 sleeve.change_over(time_us, side, self._delays.draw_s())
 
     def _engage(self) -> None:
@@ -152,6 +179,9 @@ class BenchScript:
         self.stage = ScriptStage.ENGAGE
         self._stage_end_us = NEVER_US
         self._engagement.script_engage(self._gear.main, self._plant.time_us)
+        if self._split is not None:
+            self._plant.script_input(0.0)
+            self._engagement.script_engage(self._split, self._plant.time_us)
 
     def _ready(self) -> None:
         self.stage = ScriptStage.IDLE
@@ -166,7 +196,7 @@ class BenchScript:
                 sleeve.arrive()
         shafts = self._plant.shafts
         split, range_ = shafts.split, shafts.range_
-        if not self.splitter.under_way:
+        if Sleeve.SPLITTER in self.steps and not self.splitter.under_way:
             split = Split.HIGH if self.splitter.side > 0 else Split.LOW
         if not self.range_.under_way:
             range_ = Range.HIGH if self.range_.side > 0 else Range.LOW

@@ -75,7 +75,7 @@ class ThesisEngagement(EngagementByDelay[SleeveAxis]):
     def _lock(self, name: Sleeve, phase_rad: float) -> None:
         gear = self.gear_at(name)
         slip = self._plant.slip_rad_s(gear)
-        self._thesis.lock(gear, phase_rad)
+        self._thesis.lock(MainGear(gear), phase_rad)
         self.sleeves[name].lock()
         self._note(EngagementEvent.LOCKED, gear, phase_rad, slip)
         self._count_brake_in_gear(self._plant.time_us)

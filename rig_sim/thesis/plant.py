@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
+from meshpoint.gearbox.gears import MAIN_GEARS, DogGear, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled
@@ -54,7 +54,7 @@ class Plant(Rotation, Protocol):
     """What the world of the preset `thesis` asks of its plant."""
 
     def crossing(
-        self, gear: MainGear, phase_rad: float, span: tuple[float, float], horizon_us: float
+        self, gear: DogGear, phase_rad: float, span: tuple[float, float], horizon_us: float
     ) -> Crossing | None:
         """When the gear's phase, now `phase_rad`, first leaves the span; None: not by then."""
 
@@ -82,7 +82,7 @@ class ThesisPlant:
         self.shafts = shafts
         self.time_us = 0.0
         self.drive = Drive.COASTING
-        self._ratios = {gear: sheet.main_mesh(gear).ratio for gear in MAIN_GEARS}
+        self._ratios: dict[DogGear, float] = {g: sheet.main_mesh(g).ratio for g in MAIN_GEARS}
         self._locked_ratio = 1.0
         self._layshaft = RecordArray(Motion(valve_rate=1.0 / sheet.brake.time_constant_s))
         self._main = RecordArray(Motion(speed_rad_s=main_rad_s))
@@ -104,12 +104,12 @@ class ThesisPlant:
         layshaft = self._layshaft.record
         return layshaft.end_pa + layshaft.diff_pa
 
-    def slip_rad_s(self, gear: MainGear) -> float:
+    def slip_rad_s(self, gear: DogGear) -> float:
         """Speed of the gear less that of its sleeve; the sleeves turn with the main shaft."""
         return self._ratios[gear] * self.layshaft_rad_s - self.main_rad_s
 
     def crossing(
-        self, gear: MainGear, phase_rad: float, span: tuple[float, float], horizon_us: float
+        self, gear: DogGear, phase_rad: float, span: tuple[float, float], horizon_us: float
     ) -> Crossing | None:
         """When the gear's phase, now `phase_rad`, first leaves the span; None: not by then."""
         ratio = self._ratios[gear]
@@ -183,6 +183,15 @@ class ThesisPlant:
         self.drive = Drive.SCRIPTED
         self._layshaft.record.kind = ACCELERATED
         self._layshaft.record.accel_rad_s2 = accel_rad_s2
+
+    @property
+    def input_rad_s(self) -> float:
+        """Input shaft speed."""
+        return self.layshaft_rad_s / self._sheet.split_mesh(self.shafts.split).ratio
+
+    def script_input(self, accel_rad_s2: float) -> None:  # noqa: ARG002
+        """The input shaft always turns with the layshaft here."""
+        raise RuntimeError("preset thesis has no splitter with dog teeth")
 
     def script_main(self, accel_rad_s2: float) -> None:
         """The bench drives the main shaft at constant acceleration; 0 keeps its speed (4.16)."""

@@ -42,6 +42,11 @@ class World:
     """Everything physical. Commands act at the instant given, to which the world has been run."""
 
     def __init__(self, sheet: GearboxSheet, settings: RigSettings) -> None:
+        if sheet.has_dog_splitter:
+            raise SettingsError(
+                f'preset thesis with gearbox {sheet.name}: splitter.engagement = "dog", allowed is '
+                f'"cones"; preset truck has both'
+            )
         rng: np.random.Generator = seeded(settings.seed)
         start = draw_start(rng, sheet, settings)
         gear = drive_gear(settings.start_gear)

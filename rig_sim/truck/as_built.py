@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from meshpoint.gearbox.reading import read_text
-from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet, Splitter
 from meshpoint.gearbox.tables import TableError, load_toml
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile
 
@@ -274,4 +274,13 @@ def as_built_sheet(sheet: GearboxSheet, built: AsBuilt) -> GearboxSheet:
             close_delay_s=clutch.close_delay_s * factor["clutch_close_factor"],
         ),
         dog=replace(dog, backlash_share=dog.backlash_share * factor["backlash_factor"]),
+        splitter=_as_built_splitter(sheet.splitter, factor["backlash_factor"]),
     )
+
+
+def _as_built_splitter(splitter: Splitter, backlash_factor: float) -> Splitter:
+    """Teeth of its own as worn as those of the main box."""
+    if splitter.dog is None:
+        return splitter
+    worn = splitter.dog.backlash_share * backlash_factor
+    return replace(splitter, dog=replace(splitter.dog, backlash_share=worn))

@@ -142,7 +142,7 @@ class TruckEngine:
     def settle(self) -> None:
         """Selects the engine's mode. Call it after any change of clutch or gear."""
         plant, request = self._plant, self._request
-        through = all(map(plant.chain.is_rigid, (at.CLUTCH, at.SPLITTER, at.RANGE)))
+        through = all(map(plant.chain.is_rigid, (at.CLUTCH, at.RANGE))) and plant.splitter_is_in
         driving = through and plant.shafts.lock is not None
         if request.speed_rad_s is not None:
             mode, target = SPEED_CONTROL, request.speed_rad_s

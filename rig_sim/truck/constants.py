@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.gears import SIDE_OF
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.disturbance import SAMPLE_S
 from meshpoint.rig_sim.parts.drag import thickening
@@ -30,9 +30,12 @@ SHAKEN: Final = ("engine", "input", "layshaft", "main", "propeller", "road")
 def load_parameters(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     """Fill in what the kernels take as built."""
     p.step_us = built["numerics.step_us"]
-    p.pitch_rad = sheet.dog.pitch_rad
+    p.dogs = len(sheet.dog_gears)
+    p.pitch_rad[: p.dogs] = [
+        sheet.teeth_of(SIDE_OF[gear].sleeve).pitch_rad for gear in sheet.dog_gears
+    ]
     p.oil_k = built["oil.temperature_c"] + CELSIUS
-    p.ratio[:] = [sheet.main_mesh(gear).ratio for gear in MAIN_GEARS]
+    p.ratio[: p.dogs] = [sheet.dog_mesh(gear).ratio for gear in sheet.dog_gears]
     _load_shafts(p, sheet, built)
     _load_vehicle(p, built)
     _load_air(p, sheet, built)
@@ -59,7 +62,9 @@ def _load_shafts(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> Non
     p.drag_propeller_nm = built["drag.propeller_nm"] * thicker
     p.input_lash.half_rad = math.radians(built["lash.splitter_deg"]) / 2.0
     p.main_lash.half_rad = math.radians(built["lash.main_deg"]) / 2.0
-    p.input_lash.rate = p.main_lash.rate = 1e3 / built["lash.settle_ms"]
+    if sheet.has_dog_splitter:  # there the gear has it, as in the main box
+        p.split_lash.half_rad, p.input_lash.half_rad = p.input_lash.half_rad, 0.0
+    p.split_lash.rate = p.input_lash.rate = p.main_lash.rate = 1e3 / built["lash.settle_ms"]
     p.gear_inertia_kgm2 = built["lash.gear_inertia_kgm2"]
     p.gear_drag_nms = built["drag.gear_nms"]
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.gears import MAIN_SLEEVES, SIDE_OF, DogGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.cylinder import Cylinder
+from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.delayed_engagement import EngagementByDelay
 from meshpoint.rig_sim.shared.engagement import GEAR_AT, Tally
 from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.engagement import ROW_OF_SLEEVE, AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
-from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES
 from meshpoint.rig_sim.truck.sleeves import DelayedSleeve, axial
 from meshpoint.units import SECOND_US
 
@@ -29,10 +30,15 @@ class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[Delaye
         built: AsBuilt,
         plant: TruckPlant,
         delays: TruckDelays,
-        engaged: MainGear,
+        engaged: tuple[DogGear, ...],
     ) -> None:
+        if sheet.has_dog_splitter:
+            raise SettingsError(
+                f"sleeve.model = 0 with gearbox {sheet.name}, whose splitter has dog teeth: "
+                f"allowed is 1"
+            )
         axis = axial(built, sheet.dog.radius_m)
-        where = SLEEVE_OF_MAIN[engaged]
+        where = SIDE_OF[engaged[0]]
         sleeves = {
             name: DelayedSleeve(sheet.sleeve, where.direction if name is where.sleeve else 0, axis)
             for name in MAIN_SLEEVES
@@ -46,7 +52,7 @@ class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[Delaye
         self._truck.unwatch(ROW_OF_SLEEVE[name])
         self.sleeves[name] = DelayedSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
 
-    def expected_contact_us(self, gear: MainGear, fire_us: float) -> tuple[float, float]:
+    def expected_contact_us(self, gear: DogGear, fire_us: float) -> tuple[float, float]:
         """The delay's mean after the firing, whatever the sleeve does; and its deviation."""
         mean_s = self._delays.mean_gear_s(gear)
         return fire_us + mean_s * SECOND_US, self._delays.sd_s * SECOND_US
@@ -72,17 +78,19 @@ class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[Delaye
                 self._unload(name, time_us)
         super().due(time_us)
 
-    def can_release(self) -> None:
+    def can_release(self, link: int) -> None:  # noqa: ARG002
         """The torque on the teeth no longer holds a sleeve that is to be pulled out."""
-        self._truck.g.release_nm = -1.0
+        self._truck.g.release_nm[at.MAIN_BOX] = -1.0
         for sleeve in self.sleeves.values():
             if sleeve.waits:
                 sleeve.go(self._plant.time_us)
 
-    def script_release(self, time_us: float, duration_s: float) -> None:
-        """The bench moves every main sleeve to neutral, within this time."""
+    def script_release(
+        self, time_us: float, duration_s: float, names: tuple[Sleeve, ...] = MAIN_SLEEVES
+    ) -> None:
+        """The bench moves these sleeves to neutral, within this time."""
         before = {name: sleeve.state for name, sleeve in self.sleeves.items()}
-        super().script_release(time_us, duration_s)
+        super().script_release(time_us, duration_s, names)
         for name, was in before.items():
             if was in (SleeveState.FACE, SleeveState.ENTER):
                 self._give_up(name, was)
@@ -116,7 +124,7 @@ class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[Delaye
         if sleeve.jammed:
             return
         if sleeve.waits:
-            self._truck.g.release_nm = -1.0
+            self._wait_no_more(name)
         super()._valve_off(name, direction, time_us)
         if sleeve.state is SleeveState.RETRACT and was is not SleeveState.RETRACT:
             self._give_up(name, was)
@@ -130,4 +138,4 @@ class DelayedEngagement(TruckEngagement[DelayedSleeve], EngagementByDelay[Delaye
             sleeve.go(time_us)
         else:
             sleeve.wait()
-            truck.g.release_nm = limit_nm
+            self._wait_for(name, limit_nm)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.gears import DogGear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.units import MS
@@ -50,11 +50,11 @@ class TruckDelays:
             deviation = float(self._valve_rng.standard_normal())
         return max(mean_s + sd_s * deviation, 0.0)
 
-    def draw_gear_s(self, gear: MainGear) -> float:
+    def draw_gear_s(self, gear: DogGear) -> float:
         """From activation to contact with this gear, or from it to neutral, by a pure delay, s."""
         return self.mean_gear_s(gear) + self.noise_s()
 
-    def mean_gear_s(self, gear: MainGear) -> float:
+    def mean_gear_s(self, gear: DogGear) -> float:
         """The same without noise, s."""
         return self._sheet.sleeve.delay_s + self._built[f"sleeve.{gear.name.lower()}_delay_ms"] * MS
 

@@ -1,4 +1,4 @@
-"""The truck's main sleeves as masses between two chambers: valves, axial events, and the teeth.
+"""The truck's sleeves as masses between two chambers: valves, axial events, and the teeth.
 
 A coil that is switched reaches its spool after a drawn delay; the spool changes the air, and the
 axis is integrated ahead to its next event (`axial_motion`). The bodies act on the axis when a
@@ -14,10 +14,16 @@ from collections.abc import Callable
 from copy import deepcopy
 from typing import Final
 
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.gears import (
+    MAIN_SLEEVES,
+    SIDE_OF,
+    DogGear,
+    MainGear,
+    Sleeve,
+)
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.cylinder import BREAKS, HIGH, LOW, STOPS, Cylinder
-from meshpoint.rig_sim.shared.engagement import GEAR_AT, VALVE_OF_MAIN, Tally
+from meshpoint.rig_sim.shared.engagement import GEAR_AT, VALVE_OF_DOG, Tally
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
@@ -26,7 +32,7 @@ from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.driven_sleeve import DrivenSleeve, Spool
 from meshpoint.rig_sim.truck.engagement import ROW_OF_SLEEVE, AxisTruth, TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
-from meshpoint.rig_sim.truck.sleeve_valves import MAIN_SLEEVES, SleeveValves
+from meshpoint.rig_sim.truck.sleeve_valves import SleeveValves
 from meshpoint.rig_sim.truck.sleeves import axial
 from meshpoint.units import SECOND_US
 
@@ -36,7 +42,7 @@ OUT_OF_MESH: Final = (SleeveState.NEUTRAL, SleeveState.APPROACH, SleeveState.RET
 
 
 class DrivenEngagement(TruckEngagement[DrivenSleeve]):
-    """The two main sleeves, the four valves that drive them, and what they do to the plant."""
+    """The sleeves with dog teeth, the valves that drive them, and what they do to the plant."""
 
     def __init__(
         self,
@@ -44,19 +50,16 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         built: AsBuilt,
         plant: TruckPlant,
         delays: TruckDelays,
-        engaged: MainGear,
+        engaged: tuple[DogGear, ...],
     ) -> None:
         self.valves = SleeveValves(delays, sheet, built)
-        self._axis = axial(built, sheet.dog.radius_m)
-        where = SLEEVE_OF_MAIN[engaged]
+        self._axes = {
+            name: axial(built, sheet.teeth_of(name).radius_m) for name in self.valves.cylinders
+        }
+        sides = {SIDE_OF[gear].sleeve: SIDE_OF[gear].direction for gear in engaged}
         sleeves = {
-            name: DrivenSleeve(
-                sheet.sleeve,
-                where.direction if name is where.sleeve else 0,
-                self._axis,
-                self.valves.cylinders[name],
-            )
-            for name in MAIN_SLEEVES
+            name: DrivenSleeve(sheet.sleeve, sides.get(name, 0), self._axes[name], each)
+            for name, each in self.valves.cylinders.items()
         }
         super().__init__(sheet, built, plant, delays, sleeves)
 
@@ -65,9 +68,9 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         self._leave_face(name)
         self._energised.clear()
         self._truck.unwatch(ROW_OF_SLEEVE[name])
-        self._truck.g.release_nm = -1.0
+        self._wait_no_more(name)
         self.sleeves[name] = DrivenSleeve(
-            self._sheet.sleeve, 0, self._axis, self.valves.cylinders[name]
+            self._sheet.sleeve, 0, self._axes[name], self.valves.cylinders[name]
         )
 
     def alter(self, name: Sleeve, change: Callable[[Cylinder], None]) -> None:
@@ -83,32 +86,35 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         for name, sleeve in self.sleeves.items():
             self._axial(name, sleeve, time_us)
             while sleeve.spools and sleeve.spools[0].due_us <= time_us:
-                self._spool(sleeve, time_us)
+                self._spool(name, sleeve, time_us)
                 self._axial(name, sleeve, time_us)
             if sleeve.look_us <= time_us:
                 self._look(name, sleeve, time_us)
                 self._axial(name, sleeve, time_us)
 
-    def can_release(self) -> None:
-        """The torque on the teeth no longer holds a sleeve that is to be pulled out."""
-        self._truck.g.release_nm = -1.0
-        for sleeve in self.sleeves.values():
-            if sleeve.waits:
+    def can_release(self, link: int) -> None:
+        """The torque on the teeth there no longer holds a sleeve that is to be pulled out."""
+        self._truck.g.release_nm[link] = -1.0
+        for name, sleeve in self.sleeves.items():
+            if sleeve.waits and (name is Sleeve.SPLITTER) == (link == at.SPLITTER):
                 sleeve.go(self._plant.time_us)
 
-    def script_release(self, time_us: float, duration_s: float) -> None:
-        """The bench moves every main sleeve to neutral, within this time."""
-        for name, sleeve in self.sleeves.items():
+    def script_release(
+        self, time_us: float, duration_s: float, names: tuple[Sleeve, ...] = MAIN_SLEEVES
+    ) -> None:
+        """The bench moves these sleeves to neutral, within this time."""
+        for name in names:
+            sleeve = self.sleeves[name]
             was = sleeve.state
-            self._truck.g.release_nm = -1.0
+            self._wait_no_more(name)
             if was in (SleeveState.FACE, SleeveState.ENTER):
                 self._give_up(name, was)
                 sleeve.unmesh()
             sleeve.script_to_neutral(time_us, duration_s)
 
-    def script_engage(self, gear: MainGear, time_us: float) -> None:
+    def script_engage(self, gear: DogGear, time_us: float) -> None:
         """The bench moves the sleeve of this gear in, by its own valve."""
-        self._tallies[SLEEVE_OF_MAIN[gear].sleeve] = Tally()
+        self._tallies[SIDE_OF[gear].sleeve] = Tally()
         self._switch_spool(gear, True, time_us)
 
     def ready(self, gear: MainGear, drive_gear: int) -> None:
@@ -116,13 +122,15 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         super().ready(gear, drive_gear)
         if gear:
             self._switch_spool(gear, False, self._plant.time_us)
+        if Sleeve.SPLITTER in self.sleeves and (split := self.gear_at(Sleeve.SPLITTER)):
+            self._switch_spool(split, False, self._plant.time_us)
 
-    def expected_contact_us(self, gear: MainGear, fire_us: float) -> tuple[float, float]:
+    def expected_contact_us(self, gear: DogGear, fire_us: float) -> tuple[float, float]:
         """When the sleeve of this gear would meet it, its coil switched on at `fire_us`, with all
         that is known now: from where it stands or moves, its valves as they are, but not their
         chance. Mean and standard deviation, us."""
-        where = SLEEVE_OF_MAIN[gear]
-        mean_s, sd_s = self.valves.expected_s(VALVE_OF_MAIN[gear], fire_us)
+        where = SIDE_OF[gear]
+        mean_s, sd_s = self.valves.expected_s(VALVE_OF_DOG[gear], fire_us)
         spool_us = max(fire_us + mean_s * SECOND_US, self._plant.time_us)
         sleeve = self.sleeves[where.sleeve]
         found_us = NEVER_US
@@ -136,7 +144,7 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         """A main sleeve along its axis at an instant; see `TruckTruth.axis`."""
         motion = self.sleeves[name].motion
         y = motion.state(time_us)
-        plus, minus = (VALVE_OF_MAIN[GEAR_AT[name, side]] in self._energised for side in (1, -1))
+        plus, minus = (VALVE_OF_DOG[GEAR_AT[name, side]] in self._energised for side in (1, -1))
         return AxisTruth(y.x_m, y.v_m_s, (y.a_pa, y.b_pa), (plus, minus), motion.spools(time_us))
 
     def change_conditions(self, built: AsBuilt) -> None:
@@ -182,12 +190,12 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
             self._tallies[name] = Tally()
         self._switch_spool(GEAR_AT[name, direction], on, time_us)
 
-    def _switch_spool(self, gear: MainGear, on: bool, time_us: float) -> None:
+    def _switch_spool(self, gear: DogGear, on: bool, time_us: float) -> None:
         """The spool follows the coil after its delay, and never before it has followed an earlier
         switch."""
-        where = SLEEVE_OF_MAIN[gear]
+        where = SIDE_OF[gear]
         spools = self.sleeves[where.sleeve].spools
-        valve = VALVE_OF_MAIN[gear]
+        valve = VALVE_OF_DOG[gear]
         mean_s = self.valves.expected_s(valve, time_us)[0] if on else self.valves.mean_s(valve, on)
         expected_us = time_us + mean_s * SECOND_US
         due_us = time_us + self.valves.draw_s(valve, on, time_us) * SECOND_US
@@ -198,9 +206,9 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         spools.append(Spool(due_us, where.direction, on, expected_us))
         spools.sort(key=lambda spool: spool.due_us)
 
-    def _spool(self, sleeve: DrivenSleeve, time_us: float) -> None:
+    def _spool(self, name: Sleeve, sleeve: DrivenSleeve, time_us: float) -> None:
         if sleeve.waits:
-            self._truck.g.release_nm = -1.0
+            self._wait_no_more(name)
         spool = sleeve.spools.pop(0)
         self._feed(sleeve, spool, time_us)
         if spool.on:
@@ -259,11 +267,11 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
             sleeve.set_out(direction)
         elif sleeve.state is SleeveState.LOCKED and direction != sleeve.side:
             limit_nm = self._limit_nm(sleeve, time_us)
-            if self.scripted or abs(self._truck.main_box_nm()) <= limit_nm:
+            if self.scripted or abs(self._truck.teeth_nm(self.gear_at(name))) <= limit_nm:
                 sleeve.state = SleeveState.RETRACT
             else:
                 sleeve.wait()
-                self._truck.g.release_nm = limit_nm
+                self._wait_for(name, limit_nm)
 
     def _stops(self, name: Sleeve, sleeve: DrivenSleeve, time_us: float) -> None:
         face_m = self._sheet.sleeve.to_contact_m
@@ -291,17 +299,21 @@ class DrivenEngagement(TruckEngagement[DrivenSleeve]):
         if sleeve.waits:
             limit_nm = self._limit_nm(sleeve, time_us)
             if limit_nm > 0.0:
-                self._truck.g.release_nm = limit_nm
+                self._wait_for(name, limit_nm)
             else:
-                self._truck.g.release_nm = -1.0
+                self._wait_no_more(name)
                 sleeve.pull_no_more(time_us)
-        elif self._stuck is name:
-            self._truck.hold(at.MAIN_BOX, self._static_factor * self._face_nm(name))
+        elif (link := self._sticks_at(name)) is not None:
+            self._truck.hold(link, self._static_factor * self._face_nm(name))
         elif self._truck.rubs(ROW_OF_SLEEVE[name]):
             self._truck.press(ROW_OF_SLEEVE[name], self._face_nm(name))
         elif sleeve.state is SleeveState.FACE:
             self._rub(name)
         sleeve.look_again(time_us)
+
+    def _sticks_at(self, name: Sleeve) -> int | None:
+        """The link that a tooth makes which sticks on the sleeve's face."""
+        return next((link for link, stuck in self._stuck.items() if stuck is name), None)
 
     def _limit_nm(self, sleeve: DrivenSleeve, time_us: float) -> float:
         """Torque at the flank up to which the air pulls the sleeve out."""

@@ -108,7 +108,8 @@ def _arrival(event: int, low: float, high: float, rig: Rig) -> float:
     speed, s = rig.after.speed_rad_s, high
     for _ in range(NEWTON_ITERATIONS):
         step(rig, s)
-        away = rig.p.ratio[watch.gear] * speed[at.LAYSHAFT] - speed[at.MAIN]
+        sleeve = at.MAIN if watch.gear < at.GEARS else at.INPUT
+        away = rig.p.ratio[watch.gear] * speed[at.LAYSHAFT] - speed[sleeve]
         if not top:
             away = -away
         if watch.with_lash != 0 or away <= 0.0:
@@ -227,8 +228,9 @@ def _torque_event(rig: Rig) -> int:
             low = -high
         if torque < low - TORQUE_MARGIN_NM or torque > high + TORQUE_MARGIN_NM:
             return at.LINK_SLIPS + i
-    if g.release_nm >= 0.0 and abs(torques.link_nm[at.MAIN_BOX]) <= g.release_nm:
-        return at.CAN_RELEASE
+    for i in range(at.LINKS):
+        if g.release_nm[i] >= 0.0 and abs(torques.link_nm[i]) <= g.release_nm[i]:
+            return at.CAN_RELEASE + i
     if g.held != 0 and abs(torques.pull_nm) > torques.hold_nm + TORQUE_MARGIN_NM:
         return at.LET_GO
     return at.REACHED

@@ -38,7 +38,7 @@ QUIET_PA_S: Final = 1e4
 def _settle(rig: Rig) -> bool:
     """Wraps angles into one turn and phases into one pitch; watched phases are left unwrapped.
     Whether an angle was wrapped."""
-    y, pitch = rig.y, rig.p.pitch_rad
+    y = rig.y
     wraps = False
     for k in range(at.BODIES):
         if y.angle_rad[k] >= TAU:
@@ -49,8 +49,8 @@ def _settle(rig: Rig) -> bool:
             y.angle_rad[k] += TAU
             rig.laps[k] -= 1
             wraps = True
-    for gear in range(at.GEARS):
-        before = y.phase_rad[gear]
+    for gear in range(rig.p.dogs):
+        before, pitch = y.phase_rad[gear], rig.p.pitch_rad[gear]
         if before >= 0.5 * pitch or before < -0.5 * pitch:
             y.phase_rad[gear] = wrapped(before, pitch)
             for i in range(at.WATCHES):
@@ -187,5 +187,5 @@ def sample(
             return t_us, True
         found[row, 0], found[row, 1] = y.speed_rad_s[at.LAYSHAFT], y.speed_rad_s[at.MAIN]
         phase = y.phase_rad[gear] + y.lash_rad[gear]
-        found[row, 2] = wrapped(phase, rig.p.pitch_rad)
+        found[row, 2] = wrapped(phase, rig.p.pitch_rad[gear])
     return t_us, False

@@ -26,9 +26,10 @@ ENGINE, INPUT, LAYSHAFT, MAIN, PROPELLER = range(5)
 LINKS: Final = 4
 CLUTCH, SPLITTER, MAIN_BOX, RANGE = range(4)
 GEARS: Final = 4  # crawl, first, second, third
+DOGS: Final = 6  # and low and high split, where they have dog teeth
 CONTACTS: Final = 5
 FACE_FIRST_SECOND, FACE_CRAWL_THIRD, CONE_SPLITTER, CONE_RANGE, PLATE = range(5)
-WATCHES: Final = 2
+WATCHES: Final = 3  # of the first contacts: a splitter with dog teeth has faces for its cone
 
 # --- how `advance` ends -------------------------------------------------------------------------
 REACHED: Final = 0  # nothing happened up to `until`
@@ -38,8 +39,8 @@ LEFT_BOTTOM: Final = 20  # + watch
 NO_SLIP: Final = 30  # + contact: rubbing surfaces have the same speed
 STOPPED: Final = 40  # the layshaft has come to rest
 LINK_SLIPS: Final = 50  # + link: its torque has left low_nm..high_nm
-CAN_RELEASE: Final = 60
-LET_GO: Final = 61  # the brake cannot hold the layshaft any more
+CAN_RELEASE: Final = 60  # + link: a sleeve that waits there can be pulled out
+LET_GO: Final = 65  # the brake cannot hold the layshaft any more
 MEETS_FLANK: Final = 70  # + side: a flank of the final drive is met or left; kept here
 
 # --- sensor wheels ------------------------------------------------------------------------------
@@ -58,9 +59,9 @@ class RigState(Vector):
 
     speed_rad_s: Annotated[Row[float], BODIES]
     angle_rad: Annotated[Row[float], BODIES]  # rest angle of each body, in [0, 2 pi)
-    phase_rad: Annotated[Row[float], GEARS]  # i_gear theta_L - theta_M, within a pitch
+    phase_rad: Annotated[Row[float], DOGS]  # i_gear theta_L - theta_M or theta_I, within a pitch
     input_lash_rad: float  # where in its mesh's backlash the input shaft lies
-    lash_rad: Annotated[Row[float], GEARS]  # and each gear
+    lash_rad: Annotated[Row[float], DOGS]  # and each gear
     brake_pa: float  # absolute pressure in the brake
     supply_pa: float  # absolute pressure of the tank
     felt_pa: float  # brake pressure as its sensor follows it
@@ -97,10 +98,11 @@ class PlantParameters(Record):
     """Parameters that are constant during a run."""
 
     step_us: float
-    pitch_rad: float  # of the dog teeth
+    dogs: int  # GEARS, or DOGS
+    pitch_rad: Annotated[Row[float], DOGS]  # of the dog teeth
     oil_k: float
     inertia_kgm2: Annotated[Row[float], BODIES]
-    ratio: Annotated[Row[float], GEARS]  # i_gear
+    ratio: Annotated[Row[float], DOGS]  # i_gear
     drag_input_nms: float
     drag_nms: float  # at the layshaft, oil temperature included
     drag_nm: float
@@ -110,6 +112,7 @@ class PlantParameters(Record):
     gear_drag_nms: float
     input_lash: Backlash
     main_lash: Backlash
+    split_lash: Backlash  # of a splitter with dog teeth; the input shaft then has none of its own
     air: BrakeAir
     brake: DiscBrake
     engine: EngineLimits
@@ -150,7 +153,8 @@ class Connections(Record):
     engine_target: float  # rad/s or Nm
     governed_pa: float  # where the compressor governor holds the tank
     meshed: int  # index of the gear in mesh, or -1
-    release_nm: float  # main-box torque at which a waiting release can go, or -1
+    split_meshed: int  # the same of a splitter with dog teeth
+    release_nm: Annotated[Row[float], LINKS]  # torque at which a waiting release can go, or -1
     held: int  # 1 where the brake holds a stopped layshaft
     swing_us: float  # longest step for what swings now
 
@@ -166,7 +170,7 @@ class Contact(Record):
 
 
 class PhaseWatch(Record):
-    """A span of a gear's phase, the leaving of which is an event; one for each main sleeve."""
+    """A span of a gear's phase, the leaving of which is an event; one for each dog sleeve."""
 
     gear: int  # index; -1: not watched
     bottom_rad: float

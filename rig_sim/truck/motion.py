@@ -154,6 +154,14 @@ def _move_in_backlash(y: RigState, rate: RigState, rig: Rig) -> None:
         rate.lash_rad[gear] = lash_rad_s(y.lash_rad[gear], needed, p.main_lash)
     splitter = -torques.link_nm[at.SPLITTER]
     rate.input_lash_rad = lash_rad_s(y.input_lash_rad, splitter, p.input_lash)
+    for gear in range(at.GEARS, p.dogs):
+        ratio = p.ratio[gear]
+        rate.phase_rad[gear] = ratio * y.speed_rad_s[at.LAYSHAFT] - y.speed_rad_s[at.INPUT]
+        needed = p.gear_inertia_kgm2 * ratio * rate.speed_rad_s[at.LAYSHAFT]
+        needed += p.gear_drag_nms * rate.phase_rad[gear]
+        if rig.g.split_meshed == gear:
+            needed = splitter
+        rate.lash_rad[gear] = lash_rad_s(y.lash_rad[gear], needed, p.split_lash)
 
 
 @inlined

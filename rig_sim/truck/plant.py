@@ -12,7 +12,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.gearbox.gears import MainGear, Range, Sleeve, Split
+from meshpoint.gearbox.gears import (
+    MAIN_GEARS,
+    SPLIT_GEARS,
+    DogGear,
+    MainGear,
+    Range,
+    Sleeve,
+    Split,
+    SplitGear,
+)
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.disturbance import MERSENNE, NUMBERS, SOURCES
@@ -26,7 +35,7 @@ from meshpoint.rig_sim.truck.chain import UNLIMITED, BodyChain
 from meshpoint.rig_sim.truck.constants import SHAKEN, load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
 from meshpoint.rig_sim.truck.energy import Energy
-from meshpoint.rig_sim.truck.gear_train import INDEX, InMesh, TruckShafts
+from meshpoint.rig_sim.truck.gear_train import INDEX, InMesh, StepInMesh, TruckShafts
 from meshpoint.rig_sim.truck.kernels import advance, advance_alone, sample
 from meshpoint.rig_sim.truck.layout import Contact, Rig
 
@@ -69,6 +78,11 @@ class TruckPlant:
     def layshaft_rad_s(self) -> float:
         """Layshaft speed."""
         return self.y.speed_rad_s[at.LAYSHAFT]
+
+    @property
+    def input_rad_s(self) -> float:
+        """Input shaft speed."""
+        return self.y.speed_rad_s[at.INPUT]
 
     @property
     def main_rad_s(self) -> float:
@@ -126,18 +140,32 @@ class TruckPlant:
             rest += self.y.input_lash_rad
         return settled(self.rig.laps[body], rest)
 
-    def ratio(self, gear: MainGear) -> float:
+    def ratio(self, gear: DogGear) -> float:
         """Gear speed over layshaft speed."""
         return self.p.ratio[INDEX[gear]]
 
-    def slip_rad_s(self, gear: MainGear) -> float:
+    def slip_rad_s(self, gear: DogGear) -> float:
         """Speed of the gear less that of its sleeve."""
-        return self.ratio(gear) * self.layshaft_rad_s - self.main_rad_s
+        sleeve = at.INPUT if isinstance(gear, SplitGear) else at.MAIN
+        return self.ratio(gear) * self.layshaft_rad_s - self.y.speed_rad_s[sleeve]
 
     def main_box_nm(self) -> float:
         """What the gear in mesh puts on the main shaft now; 0 between the flanks."""
         self.find_torques()
         return self.rig.torques.link_nm[at.MAIN_BOX]
+
+    def teeth_nm(self, gear: DogGear) -> float:
+        """What a gear in mesh puts on its sleeve now; 0 between the flanks."""
+        self.find_torques()
+        joint = self.shafts.joint(gear)
+        return joint.turn * self.rig.torques.link_nm[joint.link] / joint.arm
+
+    @property
+    def splitter_is_in(self) -> bool:
+        """Whether one of its steps is in mesh."""
+        if self._sheet.has_dog_splitter:
+            return self.shafts.split_lock is not None
+        return self.chain.is_rigid(at.SPLITTER)
 
     def load_nm(self, body: int) -> float:
         """Torque on a body from outside and from friction, now."""
@@ -196,7 +224,7 @@ class TruckPlant:
         """Rates and torques at the present state into the scratch, going nowhere."""
         self.advance(-math.inf, math.inf)
 
-    def watch(self, row: int, gear: MainGear, span: tuple[float, float], with_lash: bool) -> None:
+    def watch(self, row: int, gear: DogGear, span: tuple[float, float], with_lash: bool) -> None:
         """Ask for the instant at which the gear's phase leaves a span: the phase is taken on the
         branch nearest to the span's middle. One that stands outside, on a chamfer, may move in; it
         leaves where it moves out from there."""
@@ -205,7 +233,7 @@ class TruckPlant:
         if with_lash:
             phase += self.y.lash_rad[index]
         middle = (span[0] + span[1]) / 2.0
-        offset = wrapped(phase - middle, self._sheet.dog.pitch_rad) + middle - phase
+        offset = wrapped(phase - middle, self.p.pitch_rad[index]) + middle - phase
         low, high = min(span[0], phase + offset), max(span[1], phase + offset)
         watch = self.rig.watches[row]
         watch.gear, watch.bottom_rad, watch.top_rad = index, low, high
@@ -256,20 +284,33 @@ class TruckPlant:
         self.chain.join(link, ratio, low_nm, high_nm)
         return lost
 
-    def engage(self, gear: MainGear, flank: int, limited: bool) -> None:
+    def engage(self, gear: DogGear, flank: int, limited: bool) -> None:
         """The gear's tooth is at a flank: it drives until the torque turns, or for good."""
-        low = 0.0 if limited and flank > 0 else -UNLIMITED
-        high = 0.0 if limited and flank < 0 else UNLIMITED
-        self.free_layshaft()
-        self.join(at.MAIN_BOX, self.ratio(gear), low, high)
-        self.g.meshed = INDEX[gear]
-        self.shafts.lock = InMesh(gear, flank)
+        joint = self.shafts.joint(gear)
+        side = joint.turn * flank
+        low = 0.0 if limited and side > 0 else -UNLIMITED
+        high = 0.0 if limited and side < 0 else UNLIMITED
+        if isinstance(gear, SplitGear):
+            self.shafts.split = gear.split
+        self.free(gear)
+        self.join(joint.link, joint.ratio, low, high)
+        self._mesh(gear, INDEX[gear], flank)
 
-    def leave_flank(self, gear: MainGear) -> None:
+    def leave_flank(self, gear: DogGear) -> None:
         """The tooth is between the flanks of its gap, still in mesh."""
-        self.chain.open(at.MAIN_BOX)
-        self.g.meshed = -1
-        self.shafts.lock = InMesh(gear, 0)
+        self.chain.open(self.shafts.joint(gear).link)
+        self._mesh(gear, -1, 0)
+
+    def _mesh(self, gear: DogGear, index: int, flank: int) -> None:
+        if isinstance(gear, SplitGear):
+            self.g.split_meshed, self.shafts.split_lock = index, StepInMesh(gear, flank)
+        else:
+            self.g.meshed, self.shafts.lock = index, InMesh(gear, flank)
+
+    def part_splitter(self) -> None:
+        """The splitter's dog teeth have left each other."""
+        self.chain.open(at.SPLITTER)
+        self.g.split_meshed, self.shafts.split_lock = -1, None
 
     def coast(self) -> None:
         """No gear and no bench holds the layshaft."""
@@ -277,6 +318,13 @@ class TruckPlant:
         self.g.meshed = -1
         self.chain.open(at.MAIN_BOX)
         self.free_layshaft()
+
+    def free(self, gear: DogGear) -> None:
+        """Torques alone move the shaft that a gear's teeth are about to move."""
+        if isinstance(gear, SplitGear):
+            self.chain.free(at.INPUT)
+        else:
+            self.free_layshaft()
 
     def free_layshaft(self) -> None:
         """Torques alone move the layshaft from now on; at rest the brake may catch it again."""
@@ -315,6 +363,10 @@ class TruckPlant:
         self.chain.force(at.MAIN, accel_rad_s2)
         self._take_wheels_along()
 
+    def script_input(self, accel_rad_s2: float) -> None:
+        """The bench drives an input shaft that is in no step, at constant acceleration."""
+        self.chain.force(at.INPUT, accel_rad_s2)
+
     def end_script(self) -> None:
         """The bench lets the main shaft go."""
         if not self.constant_speed:
@@ -334,6 +386,8 @@ class TruckPlant:
         ):
             if name in moving and not scripted:
                 continue  # between its steps, without a cone
+            if name is Sleeve.SPLITTER and self._sheet.has_dog_splitter:
+                continue  # it has no cone
             if scripted:
                 self.smooth(slot)
                 self.chain.place(link, ratio)
@@ -416,20 +470,30 @@ class TruckPlant:
         wheels = (start.input, start.layshaft, start.main, start.propeller)
         for body, (turns, rest) in zip(range(at.INPUT, at.BODIES), wheels, strict=True):
             self.rig.laps[body], self.y.angle_rad[body] = turns, rest
-        for gear, index in INDEX.items():
-            self.y.phase_rad[index] = start.phase_rad(gear)
+        for gear in MAIN_GEARS:
+            self.y.phase_rad[INDEX[gear]] = start.phase_rad(gear)
         if start.lock is not None:
             # at its flank the gear has taken up the backlash of its mesh as well
             lash = math.copysign(self.p.main_lash.half_rad, start.lock.phase_rad)
             self.y.phase_rad[INDEX[start.lock.gear]] += lash
             self.y.lash_rad[INDEX[start.lock.gear]] = -lash
 
+    def start_splitter(self, gear: SplitGear, flank: int, phases_rad: tuple[float, ...]) -> None:
+        """At power-up: the step that dog teeth hold, at which flank, and where the other's teeth
+        stand."""
+        for each, phase_rad in zip(SPLIT_GEARS, phases_rad, strict=True):
+            self.y.phase_rad[INDEX[each]] = phase_rad
+        half_rad = self._sheet.teeth_of(Sleeve.SPLITTER).backlash_rad / 2.0
+        lash_rad = flank * self.p.split_lash.half_rad
+        self.y.phase_rad[INDEX[gear]] = flank * half_rad + lash_rad
+        self.y.lash_rad[INDEX[gear]] = -lash_rad
+
     def _load_speeds(self, gear: MainGear, main_rad_s: float, built: AsBuilt) -> None:
         y, g, shafts = self.y, self.g, self.shafts
         air = self._sheet.air
         g.brake_sign = 1.0
-        g.meshed = -1
-        g.release_nm = -1.0
+        g.meshed = g.split_meshed = -1
+        g.release_nm[:] = [-1.0] * at.LINKS
         self._govern(built)
         y.supply_pa = g.governed_pa
         y.brake_pa = y.felt_pa = air.atmosphere_pa

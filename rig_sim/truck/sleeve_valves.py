@@ -1,4 +1,4 @@
-"""The 3/2 valves of the main sleeves and their cylinders, as built and from stroke to stroke.
+"""The 3/2 valves of the sleeves with dog teeth, and their cylinders, from stroke to stroke.
 
 A valve's spool follows its coil late, on and off by delays of their own:
 
@@ -19,22 +19,28 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.gears import SIDE_OF, DogGear, Sleeve, SplitGear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.cylinder import Cylinder
-from meshpoint.rig_sim.shared.engagement import GEAR_AT, GEAR_OF_VALVE, VALVE_OF_MAIN
+from meshpoint.rig_sim.shared.engagement import DOG_OF_VALVE, GEAR_AT, VALVE_OF_DOG
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.axial_motion import stroke_s
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.units import MM, MS, SECOND_US
 
-MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 VALVE_STREAM: Final = 0x51E
 WARM_C: Final = 80.0
 LEAST_M3_SPA, MOST_M3_SPA = 2e-10, 1e-7
 """Between these a valve is looked for: with more the chambers would be too fast for the steps."""
 HALVINGS: Final = 26
+_DELAY_LIKE: Final[dict[DogGear, str]] = {
+    **{gear: gear.name.lower() for gear in SIDE_OF if not isinstance(gear, SplitGear)},
+    SplitGear.LOW_SPLIT: "third",
+    SplitGear.HIGH_SPLIT: "crawl",
+}
+"""Whose drawn deviation a stroke has. Those of the splitter are drawn with those of the other ends
+of a main sleeve: a gearbox of a seed stays what it was."""
 
 
 class SleeveValves:
@@ -49,13 +55,15 @@ class SleeveValves:
         own = np.random.Generator(np.random.PCG64([built.teeth_seed, VALVE_STREAM]))
         self._own_s = {
             (valve, on): float(own.uniform(-1.0, 1.0)) * built[f"sleeve.valve_{name}_ms"] * MS
-            for valve in GEAR_OF_VALVE
+            for valve, gear in DOG_OF_VALVE.items()
+            if gear in sheet.dog_gears
             for on, name in ((True, "on"), (False, "off"))
         }
         self._moved_us: dict[Valve, float] = {}
         """When each valve was last switched."""
-        self.cylinders = {name: self._cylinder(name) for name in MAIN_SLEEVES}
-        """Of each main sleeve, in neutral, in oil of 80 degC; to be copied."""
+        names = dict.fromkeys(SIDE_OF[gear].sleeve for gear in sorted(sheet.dog_gears, key=_order))
+        self.cylinders = {name: self._cylinder(name) for name in names}
+        """Of each sleeve with dog teeth, in neutral, in oil of 80 degC; to be copied."""
 
     def change_conditions(self, built: AsBuilt) -> None:
         """Another oil temperature."""
@@ -114,10 +122,10 @@ class SleeveValves:
         _solve(feeds_b, lambda: stroke_s(c, -contact_m), travels_s[1])
         return c
 
-    def stroke_s(self, gear: MainGear, supply_pa: float) -> float:
+    def stroke_s(self, gear: DogGear, supply_pa: float) -> float:
         """From the spool to contact, by a single stroke from neutral at this absolute pressure of
         the tank; infinite where the sleeve never gets there."""
-        where = SLEEVE_OF_MAIN[gear]
+        where = SIDE_OF[gear]
         cylinder = self.cylinders[where.sleeve].copy()
         cylinder.supply_pa = supply_pa
         self.set_friction(cylinder)
@@ -148,8 +156,8 @@ class SleeveValves:
     def _travel_s(self, name: Sleeve, side: int) -> float:
         """From the spool to contact, as drawn for a gear."""
         gear, sleeve = GEAR_AT[name, side], self._sheet.sleeve
-        whole_s = sleeve.delay_s + self._built[f"sleeve.{gear.name.lower()}_delay_ms"] * MS
-        return whole_s - self.mean_s(VALVE_OF_MAIN[gear], True)
+        whole_s = sleeve.delay_s + self._built[f"sleeve.{_DELAY_LIKE[gear]}_delay_ms"] * MS
+        return whole_s - self.mean_s(VALVE_OF_DOG[gear], True)
 
     def _remembered_s(self, valve: Valve, chance_s: float) -> float:
         share, last_s = self._correlation, self._last_s.get(valve)
@@ -161,6 +169,10 @@ class SleeveValves:
             chance_s = self._delays.noise_s()
         self._last_s[valve] = chance_s
         return chance_s
+
+
+def _order(gear: DogGear) -> int:
+    return SIDE_OF[gear].sleeve
 
 
 def _solve(set_to: Callable[[float], None], found_s: Callable[[], float], target_s: float) -> None:

@@ -14,13 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.gearbox.gears import Sleeve, drive_gear
+from meshpoint.gearbox.gears import SPLIT_GEAR, DogGear, DriveGear, Sleeve, drive_gear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.settings import RigSettings, SettingsError
 from meshpoint.rig_sim.shared.angles import Shafts
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
-from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE, Engaged
+from meshpoint.rig_sim.shared.engagement import VALVE_OF_DOG, Engaged
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
@@ -56,6 +56,7 @@ CONDITIONS: Final = frozenset(
     ("oil.temperature_c", "vehicle.mass_kg", "vehicle.slope_percent", "air.supply_offset_bar")
 )
 """As-built values that change from one day's work to the next."""
+SPLITTER_STREAM: Final = 0x5917
 MOST_EVENTS: Final = 100_000
 """Largest number of events in 10 ms: with more the simulation would not advance, so it is stopped
 with an error."""
@@ -79,10 +80,12 @@ class TruckWorld:
         main_rad_s = settings.main_speed_rpm * RPM
         self.plant = TruckPlant(self.sheet, self.built, shafts, gear.main, main_rad_s)
         self.plant.engage(gear.main, start.flank, self.built["dog.free_play"] >= 0.5)
+        if self.sheet.has_dog_splitter:
+            self._start_splitter(gear, settings.seed)
         self.delays = TruckDelays(rng, self.sheet, self.built)
         moved = DrivenEngagement if self.built["sleeve.model"] >= 0.5 else DelayedEngagement
         self.engagement: TruckEngagement[Any] = moved(
-            self.sheet, self.built, self.plant, self.delays, gear.main
+            self.sheet, self.built, self.plant, self.delays, self._engaged(gear)
         )
         self.script = BenchScript(self.sheet, self.plant, self.engagement, self.delays, gear)
         self.script.ramp_s = settings.return_ramp_s
@@ -92,6 +95,7 @@ class TruckWorld:
         self.positions = PositionSensors(self.built)
         self.pressures = PressureSensors(self.built, self.sheet.air.atmosphere_pa)
         self.faults = FaultInjector(self)
+        self._dog_valves = {VALVE_OF_DOG[gear] for gear in self.sheet.dog_gears}
         self._steps_driven = dict.fromkeys(STEP_VALVES, False)
         self._follows_us: dict[Valve, float] = {}
         """When a valve that a fault makes late follows its coil."""
@@ -101,6 +105,21 @@ class TruckWorld:
         self._due_us = self._next_due()
         for scheduled in settings.faults:
             self._at(float(scheduled.at_us), partial(self.faults.begin, scheduled.order))
+
+    def _engaged(self, gear: DriveGear) -> tuple[DogGear, ...]:
+        """The gears in which sleeves with dog teeth stand at the start."""
+        return (gear.main, SPLIT_GEAR[gear.split]) if self.sheet.has_dog_splitter else (gear.main,)
+
+    def _start_splitter(self, gear: DriveGear, seed: int) -> None:
+        """Where the splitter's dog teeth stand, and at which flank: draws of their own, so that a
+        seed stays what it was."""
+        own = np.random.Generator(np.random.PCG64([seed, SPLITTER_STREAM]))
+        half_rad = self.sheet.teeth_of(Sleeve.SPLITTER).pitch_rad / 2.0
+        low_rad, high_rad = own.uniform(-half_rad, half_rad, 2).tolist()
+        flank = 1 if own.random() < 0.5 else -1
+        held = SPLIT_GEAR[gear.split]
+        self.plant.start_splitter(held, flank, (low_rad, high_rad))
+        self.plant.engage(held, flank, self.built["dog.free_play"] >= 0.5)
 
     def handle(self, event: int) -> None:
         """Act on what `plant.advance` has returned (`layout`: DUE and those that follow)."""
@@ -275,17 +294,19 @@ class TruckWorld:
     def _torque_event(self, event: int) -> None:
         if event == at.LET_GO:
             self.plant.let_go()
-        elif event == at.CAN_RELEASE:
-            self.engagement.can_release()
+        elif event >= at.CAN_RELEASE:
+            self.engagement.can_release(event - at.CAN_RELEASE)
         elif event == at.LINK_SLIPS + at.CLUTCH:
             self.clutch.slips()
         else:
-            self.engagement.slips()
+            self.engagement.slips(event - at.LINK_SLIPS)
 
     def _no_slip(self, slot: int) -> None:
         if slot == at.PLATE:
             self.clutch.grips()
-        elif slot in (at.CONE_SPLITTER, at.CONE_RANGE):
+        elif slot == at.CONE_RANGE or (
+            slot == at.CONE_SPLITTER and not self.sheet.has_dog_splitter
+        ):
             self.plant.cone_holds(slot)
             name = Sleeve.SPLITTER if slot == at.CONE_SPLITTER else Sleeve.RANGE
             self.script.steps[name].go_in(self.plant.time_us)
@@ -335,7 +356,7 @@ class TruckWorld:
             delay_us = self.delays.brake_valve_s() * SECOND_US
             self.later(delay_us, partial(self._brake_air, on))
             self.engagement.switch(valve, on, time_us)
-        elif valve in GEAR_OF_VALVE:
+        elif valve in self._dog_valves:
             self.engagement.switch(valve, on, time_us)
         else:
             self._steps_driven[valve] = on

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, SheetError, Split, load_sheet
-from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.gears import MAIN_GEARS, SPLIT_GEARS, Sleeve, SplitGear
 from meshpoint.gearbox.sheet import Mesh, sheet_from_canonical
 
 TEXT = (Path(__file__).parents[2] / "meshpoint" / "gearbox" / "sheets" / "thesis.toml").read_text()
@@ -167,3 +167,45 @@ def test_a_sheet_that_is_not_there_is_refused_with_the_names_there_are(tmp_path:
         load_sheet("lorry")
     with pytest.raises(SheetError, match="truck"):
         load_sheet(tmp_path / "truck.toml")
+
+
+def test_a_splitter_has_cones_or_dog_teeth(tmp_path: Path) -> None:
+    """Its teeth are those of the main box, unless it says otherwise; its gears are on the input
+    shaft, driven by the layshaft."""
+    cones, dog = load_sheet("truck12"), load_sheet("truck12-dog")
+    assert (cones.has_dog_splitter, dog.has_dog_splitter) == (False, True)
+    assert cones.dog_gears == MAIN_GEARS
+    assert dog.dog_gears == (*MAIN_GEARS, *SPLIT_GEARS)
+    assert dog.dog_mesh(SplitGear.LOW_SPLIT).exact == 1 / dog.split_mesh(Split.LOW).exact
+    assert dog.teeth_of(Sleeve.SPLITTER) == dog.dog
+    own = 'based_on = "truck12-dog"\n[splitter.dog]\nteeth = 36\nradius_mm = 60\n'
+    sheet = load_text(tmp_path, own + "backlash_percent_of_pitch = 25\n")
+    assert sheet.teeth_of(Sleeve.SPLITTER).teeth == 36
+    assert sheet.teeth_of(Sleeve.FIRST_SECOND).teeth == 48
+    for one in (cones, dog, sheet):
+        assert sheet_from_canonical(json.loads(one.canonical())) == one
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('engagement = "cogs"', "splitter: engagement = 'cogs', allowed is one of cones, dog"),
+        ("dog = 3", "splitter: dog: found 3, allowed is a table"),
+        ("[splitter.dog]\nteeth = 7", "teeth = 7, allowed is a whole number from 8 to 96"),
+        (
+            "[splitter.dog]\nteeth = 48\nradius_mm = 75\nbacklash_percent_of_pitch = 20",
+            'engagement = "cones" with a table dog, allowed is "dog"',
+        ),
+    ],
+)
+def test_what_a_splitter_cannot_be(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(SheetError) as found:
+        load_text(tmp_path, f'based_on = "truck12"\n[splitter]\n{text}\n')
+    assert str(found.value).startswith("truck.toml: splitter")
+    assert said in str(found.value)
+
+
+def test_a_sheet_with_cones_has_the_hash_that_it_always_had() -> None:
+    """So that a run of it has the header, and the frames, of before there was a choice."""
+    assert load_sheet("truck12").sha256.startswith("aa110d2669f50e86")
+    assert load_sheet("thesis").sha256.startswith("0a294dad3c2cdb52")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from truck_bench import run, switch, world
 
 from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.rig_sim.orders import EngineRequest
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.valve_drivers import Valve
@@ -61,15 +62,17 @@ def act(truck: TruckWorld, now_us: int, what: str, which: int, on: bool) -> None
     scenario=acts,
     profile=st.sampled_from(Profile),
     stiff=st.sampled_from([None, 0.0, 5e3, 5e4]),
+    gearbox=st.sampled_from(["thesis", "thesis-dog"]),
 )
 def test_work_put_in_is_lost_or_stored(
     seed: int,
     scenario: list[tuple[int, str, int, bool]],
     profile: Profile,
     stiff: float | None,
+    gearbox: str,
 ) -> None:
     fixed = {} if stiff is None else {"driveline.stiffness_nm_rad": stiff}
-    truck = world(fixed, seed=seed, profile=profile)
+    truck = world(fixed, load_sheet(gearbox), seed=seed, profile=profile)
     now_us = 0
     for wait_us, what, which, on in scenario:
         now_us += wait_us
