@@ -41,6 +41,7 @@ from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.signals import apart
 from meshpoint.bus.slowness import times_slower
 from meshpoint.controller.run import node as controller_node
 from meshpoint.controller.run.node import run_controller
@@ -291,7 +292,7 @@ def _clocks(run: LiveRun) -> Iterator[_Clocks]:
         PaceFile.create(path)
         command = [sys.executable, "-m", "meshpoint.bus.pace", str(path), "--speed", str(run.speed)]
         # It ends with its standard input, which leaving the block closes.
-        with subprocess.Popen(command, stdin=subprocess.PIPE) as pacemaker:  # noqa: S603 (ours)
+        with subprocess.Popen(command, stdin=subprocess.PIPE, **apart()) as pacemaker:  # noqa: S603 (ours)
             clocks = _Clocks(run, path)
             clocks.pacemaker = pacemaker
             yield clocks
@@ -317,7 +318,9 @@ async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> No
     wire = ["--profile", run.wire.value]
     is_classic = run.wire is WireProfile.CLASSIC
     record = ["--header-dir", str(run.log.parent)] if is_classic else []
-    common = [*run.node_arguments, *wire, "--speed", str(run.speed), *pace, "--quiet"]
+    common = [
+        *run.node_arguments, *wire, "--speed", str(run.speed), *pace, "--quiet", "--until-eof",
+    ]  # fmt: skip
     commands = {
         "rig": [
             "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
@@ -331,7 +334,7 @@ async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> No
 
 async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
     return await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "meshpoint", *arguments, stdin=asyncio.subprocess.DEVNULL
+        sys.executable, "-m", "meshpoint", *arguments, stdin=asyncio.subprocess.PIPE, **apart()
     )
 
 

@@ -3,11 +3,13 @@
 import asyncio
 import os
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 
 def _signals() -> list[signal.Signals]:
@@ -19,19 +21,17 @@ def _signals() -> list[signal.Signals]:
 
 @contextmanager
 def stop_on_signals(stop: asyncio.Event) -> Iterator[None]:
-    """While this lasts, the first SIGINT or SIGTERM sets `stop`; a second one acts as usual.
+    """While this lasts, the first of each of SIGINT and SIGTERM sets `stop`; a second one of its
+    kind acts as usual.
 
     For the main thread, with a running event loop.
     """
     loop = asyncio.get_running_loop()
     previous = {number: signal.getsignal(number) for number in _signals()}
 
-    def restore() -> None:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
-        restore()
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        # Its own alone: after Ctrl-C in a terminal the process that started this one may ask too.
+        signal.signal(number, previous[signal.Signals(number)])
         loop.call_soon_threadsafe(stop.set)
 
     for number in previous:
@@ -39,7 +39,17 @@ def stop_on_signals(stop: asyncio.Event) -> Iterator[None]:
     try:
         yield
     finally:
-        restore()
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def apart() -> dict[str, Any]:
+    """Arguments of a child process which Ctrl-C in the terminal does not reach: it says to this
+    process what it means. The child is to end with its standard input, which ends when this process
+    does, however that comes."""
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
 
 
 def stop_at_end_of_input(stop: asyncio.Event) -> None:

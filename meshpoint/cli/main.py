@@ -35,7 +35,11 @@ def run_parsed(parse: Callable[[], argparse.Namespace]) -> int:
 
     The namespace has `run`, which is called with it, `program` for the errors, and `debug`."""
     with lasting_error() as said:
-        namespace = parse()
+        try:
+            namespace = parse()  # loads what the command needs, a second or more
+        except KeyboardInterrupt:
+            sys.stderr.write("interrupted\n")
+            return Exit.INTERRUPTED
         from meshpoint.bench.compiling import Progress
         from meshpoint.kernels.watch import WATCH
 

@@ -10,7 +10,9 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
+
+from meshpoint.bus.signals import apart
 
 END_S: Final = 15.0
 """Wall seconds that a child may take to end; then it is killed."""
@@ -36,16 +38,10 @@ class Child:
 
 
 async def spawn(name: str, command: list[str], show: Show | None) -> Child:
-    """Starts `python COMMAND`; every line it says goes to `show` under its name.
-
-    The child has a session of its own, so that Ctrl-C in the terminal reaches this process alone;
-    its standard input ends when this process does, however that comes."""
-    apart: dict[str, Any] = {"start_new_session": True}
-    if sys.platform == "win32":
-        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    """Starts `python COMMAND`; every line it says goes to `show` under its name."""
     process = await asyncio.create_subprocess_exec(
         sys.executable, *command, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, env=os.environ | {"PYTHONUNBUFFERED": "1"}, **apart,
+        stderr=subprocess.STDOUT, env=os.environ | {"PYTHONUNBUFFERED": "1"}, **apart(),
     )  # fmt: skip
     said: deque[str] = deque(maxlen=LAST_LINES)
     reader = asyncio.create_task(_read(name, process.stdout, said, show))

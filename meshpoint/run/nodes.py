@@ -38,6 +38,7 @@ from meshpoint.results.output import complain
 from meshpoint.rig_sim.settings import MAX_MAIN_SPEED_RPM, Preset, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.run.firmware_argument import add_firmware, firmware_of
+from meshpoint.run.free_bus import check_no_rig
 
 if TYPE_CHECKING:
     from meshpoint.controller.xcp.node import XcpCore
@@ -275,6 +276,8 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
     words = gearbox_words(sheet, settings.preset, settings.profile, settings.as_built)
     if firmware is not None:
         words += f", firmware {firmware}"
+    with open_bus_from(namespace) as bus:
+        check_no_rig(bus)
 
     async def run() -> None:
         stop = asyncio.Event()

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import can
 
-from meshpoint.base.errors import CommandError
 from meshpoint.base.exits import Exit
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.options import add_bus_arguments, given_bus_arguments, open_bus_from
@@ -21,11 +20,12 @@ from meshpoint.bus.signals import stop_on_signals
 from meshpoint.cli import arguments
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
-from meshpoint.dbc.messages import ControllerState, ControllerStatus, ValveStatus
+from meshpoint.dbc.messages import ControllerState, ControllerStatus
 from meshpoint.dbc.node import Node
 from meshpoint.results.output import complain
 from meshpoint.run.children import Child, end_all, spawn
 from meshpoint.run.firmware_argument import add_firmware, firmware_of
+from meshpoint.run.free_bus import check_no_nodes
 from meshpoint.run.nodes import add_header_dir, add_rig_start
 from meshpoint.run.pace import keep_pace_alone
 
@@ -35,10 +35,6 @@ busy machine too, and prints what they say. In another terminal `meshpoint reque
 gear. Ctrl-C or SIGTERM ends both with all valves off: exit code 0, or 1 where a node could not
 write its log or records. A node that ends by itself ends all: exit code 1, or 2 where its input was
 bad; its own message stands above."""
-FREE_BUS_LISTEN_S: Final = 0.3
-"""So long a bus is listened to before it counts as free."""
-CLASSIC_CYCLIC: Final = frozenset({0x18FF8080, 0x0CFF9103})
-"""SensorRead and ValveOrders: a rig or a controller of the classic profile is at work."""
 AT_REST: Final = (ControllerState.IN_GEAR, ControllerState.NEUTRAL)
 
 
@@ -100,22 +96,8 @@ def run(namespace: argparse.Namespace) -> int:
     arguments.xcp_of(namespace)
     firmware_of(namespace)
     with open_bus_from(namespace) as bus:
-        _check_free(bus)
+        check_no_nodes(bus)
         return asyncio.run(_run(namespace, bus))
-
-
-def _check_free(bus: can.BusABC) -> None:
-    """CommandError where other nodes are at work on the bus: two rigs would contradict each other.
-    Whatever comes first within the time says so."""
-    receiver = Receiver(*Node)
-    while (message := bus.recv(FREE_BUS_LISTEN_S)) is not None:
-        heard = receiver.receive(frame_of(message)).message
-        is_ours = isinstance(heard, (ControllerStatus, ValveStatus))
-        if is_ours or message.arbitration_id in CLASSIC_CYCLIC:
-            raise CommandError(
-                f"other nodes are at work on {bus.channel_info}; `-c` chooses a bus of its own, as "
-                "unix:/tmp/other.sock"
-            )
 
 
 async def _run(namespace: argparse.Namespace, bus: can.BusABC) -> int:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.campaigns.workers import worker_pool
+
 PROGRAM = """
 import sys, time
 from meshpoint.campaigns.workers import worker_pool
@@ -50,3 +52,11 @@ def test_a_parent_that_is_ended_leaves_no_worker(number: signal.Signals, tmp_pat
             time.sleep(0.02)
         assert not any(map(is_there, workers))
         assert it.wait(MOST_S) in (130, -number)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no mask of signals")
+def test_a_worker_never_hears_ctrl_c_not_even_as_it_starts() -> None:
+    with worker_pool(1) as pool:
+        blocked = pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
+    assert signal.SIGINT in blocked
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

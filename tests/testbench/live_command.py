@@ -63,6 +63,10 @@ class LiveCommand:
     def signal(self, number: signal.Signals) -> None:
         self._process.send_signal(number)
 
+    def press_ctrl_c(self) -> None:
+        """As a terminal does: SIGINT for the command and all that it has started in its group."""
+        os.killpg(self.pid, signal.SIGINT)
+
     def end(self) -> int:
         """Waits for its end; the exit code."""
         code = self._process.wait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 import sys
@@ -17,6 +18,7 @@ from live_command import live
 
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.cli.interrupt import interruptible
+from meshpoint.cli.main import run_parsed
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome
 
@@ -55,6 +57,28 @@ def test_campaign_keeps_the_finished_runs(tmp_path: Path) -> None:
     assert result["interrupted"] is True
     assert 1 <= result["runs"] < 1000
     assert f"interrupted: {result['runs']} of 1000 runs done" in command.said
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("there", ["out", "out/target_phase.log"])
+def test_ctrl_c_ends_a_demo_and_its_nodes(tmp_path: Path, there: str) -> None:
+    """Before it has nodes, and while they start, when their log has begun."""
+    with live(tmp_path, "demo", "--out", "out") as command:
+        command.until((tmp_path / there).exists)
+        command.press_ctrl_c()
+        assert command.end() == 130, command.said
+    assert "Traceback" not in command.said
+    assert command.said.split()[-1] == "interrupted"
+
+
+def test_ctrl_c_while_a_command_is_loaded_ends_it_with_a_word(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def parse() -> argparse.Namespace:
+        raise KeyboardInterrupt
+
+    assert run_parsed(parse) == 130
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 @pytest.fixture
