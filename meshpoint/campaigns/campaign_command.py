@@ -290,6 +290,11 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
         jobs = spec.jobs(namespace.runs)
         _compile(namespace)
         collected = Collected(spec, jobs, None if store is None else store.shifts)
+        if collected.left_out:
+            raise CommandError(
+                f"{namespace.out}: this line leaves out {collected.left_out} of the runs that it "
+                "has; --runs and --sweep may only grow"
+            )
         lost: WorkersLostError | None = None
         try:
             finished = _make(namespace, spec, store, collected, stopping)

@@ -23,7 +23,8 @@ from meshpoint.kernels.records import Integers, Vector
 from meshpoint.results.wilson import wilson
 
 FEW_RUNS: Final = 5
-"""This many runs with a miss, and with a hit, before resampling shows how rates vary."""
+"""This many runs before resampling shows how a figure varies among runs; of a rate, this many with
+a miss and with a hit. Two runs that agree would have an interval of no width."""
 RESAMPLES: Final = 1000
 SEED: Final = 0xB007
 AT_ONCE: Final = 250_000
@@ -144,9 +145,12 @@ class Quantile:
 
 
 def resample(runs: int, figures: Sequence[Resampled]) -> list[Vector]:
-    """Each figure in each resample of whole runs: the same resamples for all of them.
+    """Each figure in each resample of whole runs: the same resamples for all of them. NaN where
+    there are fewer than `FEW_RUNS`.
 
     The resamples are drawn once, a few at a time, and none is kept."""
+    if runs < FEW_RUNS:
+        return [np.full(RESAMPLES, np.nan) for _ in figures]
     rng = np.random.Generator(np.random.PCG64(SEED))
     share = np.full(runs, 1.0 / runs)
     found = [np.empty(RESAMPLES) for _ in figures]

@@ -43,6 +43,11 @@ class Collected:
         return {job for job in self.jobs if job in self._numbers}
 
     @property
+    def left_out(self) -> int:
+        """How many runs were made before that there will not be."""
+        return len(self._numbers.keys() - set(self.jobs))
+
+    @property
     def shifts(self) -> Shifts:
         """All judged shifts in order of job, strategy and shift."""
         return self.within(self.jobs)

@@ -47,7 +47,7 @@ def at_point(
         return sheet, settings, {}
     try:
         if point.name == BACKLASH:
-            dog = dataclasses.replace(sheet.dog, backlash_share=_within(point, 1.0, 60.0) / 100.0)
+            dog = dataclasses.replace(sheet.dog, backlash_share=_within(point, 2.0, 50.0) / 100.0)
             return dataclasses.replace(sheet, dog=dog), settings, {}
         if point.name == DELAY_SD:
             return _delay_sd(_within(point, 0.0, 10.0), sheet, settings, preset)

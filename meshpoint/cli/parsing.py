@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 
 from meshpoint.base.columns import folded
@@ -146,10 +148,17 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Ends with exit code 2 and one line: what was found, what is allowed, and a hint. Many
         allowed words take more lines, of 80 columns."""
-        said = f"{self.prog}: error: {message} (help: {self.prog} -h)"
+        said = f"{self.prog}: error: {_nearest(message)}{message} (help: {self.prog} -h)"
         if "choose from" in message:
             said = folded(said)
         self.exit(Exit.BAD_INPUT, f"{said}\n")
+
+
+def _nearest(message: str) -> str:
+    """What a mistyped word may have been, of argparse's words about a wrong choice."""
+    found = re.search(r"invalid choice: '([^']+)' \(choose from (.*)\)", message)
+    near = found and get_close_matches(found[1], re.findall(r"[\w.-]+", found[2]), 1)
+    return f"did you mean {near[0]}? " if near else ""
 
 
 def examples(*lines: str) -> str:

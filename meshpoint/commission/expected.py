@@ -69,8 +69,8 @@ def judge_messages(
     status = heard.messages[CODECS[ControllerStatus.__name__].spec.can_id]
     if status.frames:
         yield Finding(
-            GROUP, "controller", Verdict.NOTE,
-            "a controller speaks already: a second one may only listen (--shadow)",
+            GROUP, "controller", Verdict.BAD,
+            "one is at work already: end it first, or watch beside it with --shadow",
         )  # fmt: skip
 
 

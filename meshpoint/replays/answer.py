@@ -69,10 +69,9 @@ class Answer:
         low, high = (100 * bound for bound in bounds)
         then = 100 * self.gaps_of_decided / self.decided
         text = (
-            f"{self.other} would have met the gap {then:.0f} -> "
-            f"{100 * self.expected / self.decided:.0f} % ({low:.0f} to {high:.0f} %) in the "
-            f"{counted(self.decided)} that can be decided; recorded: {self.gaps} of {self.shifts} "
-            f"({was})"
+            f"{self.other} would have met the gap in {100 * self.expected / self.decided:.0f} % "
+            f"({low:.0f} to {high:.0f} %) of the {counted(self.decided)} that can be decided, "
+            f"where {then:.0f} % were recorded (of all: {self.gaps} of {self.shifts}, {was})"
         )
         return f"{text}; not decidable: {reasons}" if reasons else text
 

@@ -65,7 +65,8 @@ class LimitResult(NamedTuple):
     def words(self) -> str:
         """In a line."""
         if self.value is None:
-            return f"{self.limit.figure} cannot be judged: no shift of this run has it"
+            figure = self.limit.figure
+            return f"{figure} cannot be judged: the run has no {MEANINGS[figure]}"
         verdict = "failed" if self.failed else "passed"
         return f"{verdict}: {self.limit.figure} is {self.value:.6g} (fails if {self.limit})"
 

@@ -283,10 +283,11 @@ def test_a_sweep_makes_the_same_draws_with_one_thing_changed(tmp_path: Path) -> 
     ("arguments", "said"),
     [
         (("--sweep", "window.aim_rpm=1"), "keys of 'window' are"),
-        (("--sweep", "backlash_percent=90"), "allowed is a number from 1 to 60"),
+        (("--sweep", "backlash_percent=90"), "allowed is a number from 2 to 50"),
         (("--sweep", "nonsense=1"), "allowed are backlash_percent"),
         (("--seed", "2", "--resume"), "different in provenance"),
         ((), "--resume goes on with it"),
+        (("--runs", "1", "--resume"), "leaves out 1 of the runs that it has; --runs"),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(

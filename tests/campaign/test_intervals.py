@@ -146,3 +146,13 @@ def test_resamples_that_are_not_kept_give_what_kept_ones_gave() -> None:
 
     assert np.array_equal(high, quantiles(values, clusters))
     assert np.array_equal(rare, quantiles(values[:5], few))
+
+
+def test_how_a_figure_varies_among_gearboxes_is_not_known_of_few() -> None:
+    """Two that agree to the last millisecond are no proof of anything."""
+    runs = np.arange(4)
+    (few,) = resample(4, [Mean(np.full(4, 619.0), runs, 4)])
+    assert interval(few) == [None, None]
+    runs = np.arange(5)
+    (enough,) = resample(5, [Mean(np.full(5, 619.0), runs, 5)])
+    assert interval(enough) == [619.0, 619.0]

@@ -218,7 +218,7 @@ def test_reasons_that_differ_in_a_number_alone_are_reported_as_one() -> None:
     half = "the landing would be known to within {} deg only, of a pitch of 7.50 deg"
     answer = Answer(9, 2, decided=1, expected=0.5, other="x")
     answer.why_not.update([half.format(4.1), half.format(1.9), half.format(12.0), "no reference"])
-    assert "in the 1 shift that can be decided" in answer.sentence
+    assert "of the 1 shift that can be decided" in answer.sentence
     assert answer.sentence.endswith(
         "not decidable: 3 x the landing would be known to within 1.9 to 12.0 deg only, of a pitch "
         "of 7.50 deg; 1 x no reference"

@@ -367,3 +367,15 @@ def test_outputs_that_nobody_keeps_may_be_one(capsys: pytest.CaptureFixture[str]
     assert main(["show", "gearbox", "--json", "/dev/null"]) == 0
     check_apart({"log": "/dev/null", "json": "/dev/null", "report": Path("/dev/null")})
     check_apart({"out": Path("here"), "log": "here/", "json": "-"})
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("simulat", "did you mean simulate? "), ("xyz", "")],
+)
+def test_a_mistyped_command_is_answered_with_the_nearest(
+    word: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main([word])
+    assert f"error: {meant}argument COMMAND: invalid choice" in capsys.readouterr().err
