@@ -127,9 +127,9 @@ def _aborted(shift: ReportShift, sheet: GearboxSheet) -> str | None:
         return f"{fired}: the phase that was expected in flight is not in the log."
     pitch_deg, half_deg = row.pitch_deg, 0.5 * sheet.dog.backlash_rad / DEG
     would_deg = math.remainder(truth.phase_at(firing.contact_ms), pitch_deg)
-    meets = "the gap, so that the stop was in vain," if abs(would_deg) < half_deg else "a tooth"
+    meets, vain = ("the gap", " in vain") if abs(would_deg) < half_deg else ("a tooth", "")
     parts = _parts(shift, sheet, firing, firing.contact_ms, would_deg)
-    return f"{fired}: by the truth it would have met {meets} at {would_deg:+.2f} deg: {_sum(parts)}."
+    return f"{fired}{vain}: it would have met {meets} at {would_deg:+.2f} deg: {_sum(parts)}."
 
 
 def _expected(firing: Firing) -> str:
