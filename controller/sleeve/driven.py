@@ -180,6 +180,10 @@ class DrivenSleeve:
             if one not in self.switches and self.driven(valve, one.time_us) != one.on:
                 self._insert(one)
 
+    def is_off(self, valve: int) -> bool:
+        """Whether a coil is off and nothing is to come: to be told so once more says nothing."""
+        return not self.switches and not self.start.state[4 + valve]
+
     def withdrawn(self, valve: int, now_us: int) -> None:
         """What was still to come of a valve does not come."""
         self._keep(lambda one: one.valve != valve or one.time_us <= now_us)

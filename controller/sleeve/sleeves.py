@@ -139,9 +139,12 @@ class Sleeves:
         """A main valve's coil switches then (time, on), in this order, and not otherwise. Said once
         or in each step."""
         side = _OF_VALVE.get(valve)
-        if side is not None and switches != self._expected.get(valve):
-            self._expected[valve] = switches
-            self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
+        if side is None or switches == self._expected.get(valve):
+            return
+        self._expected[valve] = switches
+        sleeve, (_, on) = self._sleeves[side.sleeve], switches[0]
+        if on or not sleeve.is_off(side.valve):
+            sleeve.expected(side.valve, switches, self._now_us)
 
     def withdrawn(self, valve: ValveName, now_us: int) -> None:
         """A switch still to come does not come."""

@@ -202,7 +202,8 @@ def test_the_range_is_not_taken_for_changed_before_its_shafts_turn_together() ->
         found = snapshot(**other)
         main = found.main
         assert main is not None
-        return snapshot(main=main._replace(omega_rad_s=main.omega_rad_s * estimated[0]))
+        wrong = main._replace(omega_rad_s=main.omega_rad_s * estimated[0])
+        return snapshot(main_at=lambda _: wrong)
 
     box.snapshot = late  # type: ignore[method-assign]
     for _ in range(40):
