@@ -44,12 +44,14 @@ WATCH: Final = CacheWatch()
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Compiling within it leaves the garbage collector out, which otherwise takes a seventh of the
-    time: numba makes many objects and keeps nearly all."""
+    """Loading and compiling within it leave the garbage collector out, which otherwise takes a
+    seventh of the time: modules and numba make many objects and keep nearly all. What there is then
+    is set aside for good."""
     was_on = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if was_on:
+            gc.freeze()
             gc.enable()
