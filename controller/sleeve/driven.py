@@ -181,7 +181,7 @@ class DrivenSleeve:
                 self._insert(one)
 
     def is_off(self, valve: int) -> bool:
-        """Whether a coil is off and nothing is to come: to be told so once more says nothing."""
+        """Whether a coil is off and nothing is to come: to hear so once more changes nothing."""
         return not self.switches and not self.start.state[4 + valve]
 
     def withdrawn(self, valve: int, now_us: int) -> None:
