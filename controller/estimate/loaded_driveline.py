@@ -71,7 +71,7 @@ FADING_MEMORY_S: Final = 1.0
 INFLATION: Final = 1.5
 """Variances count as this many times as large: stiffness and tyres differ from those of the
 sheet."""
-DRIVING, TOOTH = (LOADED_MODEL.names.index(name) for name in ("driving_nm", "tooth_rad"))
+DRIVING, TOOTH = map((LOADED_MODEL.names or ()).index, ("driving_nm", "tooth_rad"))
 BEHIND: Final = (TWIST, WHEELS, TYRE, VEHICLE, HILL)
 
 
