@@ -114,6 +114,8 @@ class Sleeves:
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
         self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
         """By gear: for what it was worked out, and so long after a firing the last abort comes."""
+        self._aborted_us: dict[MainGear, int] = {}
+        """The newest of these by gear, whatever it was worked out for."""
         self._learned: set[Sleeve] = set()
         """Those of which this step has learned something."""
         self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
@@ -139,12 +141,9 @@ class Sleeves:
         """A main valve's coil switches then (time, on), in this order, and not otherwise. Said once
         or in each step."""
         side = _OF_VALVE.get(valve)
-        if side is None or switches == self._expected.get(valve):
-            return
-        self._expected[valve] = switches
-        sleeve, (_, on) = self._sleeves[side.sleeve], switches[0]
-        if on or not sleeve.is_off(side.valve):
-            sleeve.expected(side.valve, switches, self._now_us)
+        if side is not None and switches != self._expected.get(valve):
+            self._expected[valve] = switches
+            self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
 
     def withdrawn(self, valve: ValveName, now_us: int) -> None:
         """A switch still to come does not come."""
@@ -300,8 +299,10 @@ class Sleeves:
         found = self._abort_after.get(gear)
         is_old = found is not None and found[0] != known and side.sleeve not in self._learned
         if found is None or is_old:
-            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
-            found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
+            near_us = self._aborted_us.get(gear)
+            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction, near_us) or 0
+            self._aborted_us[gear], found = last_us, (known, last_us)
+            self._abort_after[gear] = found
         return found[1]
 
     def abort(self, gear: MainGear, at_us: int) -> Halt:
