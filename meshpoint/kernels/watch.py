@@ -41,7 +41,7 @@ class CacheWatch:
 
 WATCH: Final = CacheWatch()
 MANY_OBJECTS: Final = 10_000
-"""More are made where modules or kernels are loaded; to parse a command line takes some hundreds."""
+"""More are made where modules or kernels are loaded; to parse a line takes some hundreds."""
 
 
 @contextmanager
