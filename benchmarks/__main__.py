@@ -52,7 +52,8 @@ if __name__ == "__main__":
         prog="python -m benchmarks",
         description=__doc__,
         epilog="Measured for longer, each by itself: python -m benchmarks.promises, .aborts, "
-        ".bench_campaign_memory, .envelope, .studies, .swarm.",
+        ".bench_campaign_memory, .envelope, .studies, .swarm; beside a commit before: "
+        ".bench_speed --against COMMIT.",
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHES)}")
     names = parser.parse_args().names

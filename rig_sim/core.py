@@ -159,9 +159,7 @@ class RigCore:
         self._world.command_valves(_orders(command), time_us)
 
     def _send_read(self, frames: list[Frame], read_us: int) -> None:
-        unread = self._transmitter.unread(*TRUTH)
-        messages = read_messages(self._world, read_us, with_truth=unread is None)
-        node = self._node
+        messages, node = read_messages(self._world, read_us), self._node
         if node.away:
             messages = [message for message in messages if type(message) not in FROM_IO]
         elif node.restarts != self._restarts:
@@ -169,8 +167,11 @@ class RigCore:
             self._transmitter.restart(Node.GEARBOX_IO)
             self.receiver = Receiver(*NODES)
             self._last_valves = None
-        frames.extend(map(self._transmitter.encode, messages))
-        frames += unread or []
+        encode = self._transmitter.encode
+        frames.extend(map(encode, messages))
+        for kind, read in TRUTH.items():
+            unread = self._transmitter.unread(kind)
+            frames += [encode(read(self._world, read_us))] if unread is None else unread
         if self._truck_nodes is not None:
             frames += self._truck_nodes.frames(self.truth, read_us)
 

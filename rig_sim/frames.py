@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from meshpoint.dbc.j1939 import torque_parts
@@ -46,8 +47,6 @@ EDGE_MESSAGES: Final[tuple[type[Message], ...]] = (
     EdgesPropellerRise,
     EdgesPropellerFall,
 )
-TRUTH: Final[tuple[type[Message], ...]] = (ReferenceEncoder, ReferencePhase)
-"""For logs and studies: no node may act by it."""
 SENSOR_MAX_PA: Final = 13.107e5  # the pressure signals saturate here, as their sensors would
 ENGINE_MAX_RAD_S: Final = 8031.875 * RPM  # likewise SPN 190
 COUNT_MODULUS: Final = 1 << 16
@@ -56,10 +55,10 @@ MOST_FACE_US: Final = (1 << 24) - 1
 MOST_RATCHETS: Final = 127
 
 
-def read_messages(world: RigWorld, now_us: int, with_truth: bool = True) -> list[Message]:
+def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     """All cyclic messages of the read at this instant, to which the world has been run, in the
-    order in which they are sent: the engine's, which wins the bus before all others, first; the
-    truth (`TRUTH`) last."""
+    order in which they are sent: the engine's, which wins the bus before all others, first. The
+    truth (`TRUTH`) comes after them."""
     clock_us = world.clock.at(now_us) % CLOCK_MODULUS
     sensors = world.sensors(now_us)
     messages: list[Message] = [_engine(sensors)]
@@ -72,11 +71,6 @@ def read_messages(world: RigWorld, now_us: int, with_truth: bool = True) -> list
     messages.append(_sensors(sensors, clock_us))
     messages.append(valve_status(world, now_us))
     messages.extend(_sleeves(world, now_us, clock_us))
-    if not with_truth:
-        return messages
-    angles, speeds = world.encoder_read(now_us)
-    messages.append(ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds))
-    messages.append(_phases(world, clock_us))
     return messages
 
 
@@ -154,7 +148,14 @@ def _sleeves(world: RigWorld, now_us: int, clock_us: int) -> list[Message]:
     ]
 
 
-def _phases(world: RigWorld, clock_us: int) -> ReferencePhase:
+def _encoder(world: RigWorld, now_us: int) -> ReferenceEncoder:
+    clock_us = world.clock.at(now_us) % CLOCK_MODULUS
+    angles, speeds = world.encoder_read(now_us)
+    return ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds)
+
+
+def _phases(world: RigWorld, now_us: int) -> ReferencePhase:
+    clock_us = world.clock.at(now_us) % CLOCK_MODULUS
     angle, speed_rad_s, phases_rad = world.phase_read()
     return ReferencePhase._make(
         (clock_us, _encoder_rad(angle), speed_rad_s, *phases_rad, world.truth.road_speed_m_s)
@@ -164,3 +165,10 @@ def _phases(world: RigWorld, clock_us: int) -> ReferencePhase:
 def _encoder_rad(angle: Angle) -> float:
     steps = angle[0] * ENCODER_STEPS_PER_TURN + round(angle[1] / TAU * ENCODER_STEPS_PER_TURN)
     return steps % ENCODER_MODULUS * (TAU / ENCODER_STEPS_PER_TURN)
+
+
+TRUTH: Final[dict[type[Message], Callable[[RigWorld, int], Message]]] = {
+    ReferenceEncoder: _encoder,
+    ReferencePhase: _phases,
+}
+"""For logs and studies, by message: no node may act by it."""

@@ -255,11 +255,8 @@ class ControllerCore:
     def _later(self, snapshot: StepSnapshot, now_us: int) -> StepSnapshot:
         """The same as it is known at a later moment."""
         sensor_us = self._observer.clock.now_us(now_us)
-        main = self._observer.main_at(sensor_us)
         earliest_us = sensor_us + self._lead_us
-        return replace(
-            snapshot, now_us=sensor_us, earliest_us=earliest_us, main=main, takes_in=False
-        )
+        return replace(snapshot, now_us=sensor_us, earliest_us=earliest_us, takes_in=False)
 
     def _take_and_decide(self, now_us: int, events: list[str]) -> tuple[StepSnapshot, Consumed]:
         """What has arrived, what it says, and what is to be done."""
@@ -334,7 +331,7 @@ class ControllerCore:
             sensor_us + self._lead_us,
             observer.view,
             observer.layshaft,
-            observer.main_at(sensor_us),
+            observer.main_at,
             speeds,
             self._lost(sensor_us, speeds),
             driven_or_pending(observer.valves),

@@ -26,6 +26,7 @@ from meshpoint.controller.estimate.loaded_kernels import (
     WHEELS,
     WRONG,
     follow_loaded,
+    gear_measurements,
     loaded_ahead,
 )
 from meshpoint.controller.models.twist import STATES, Twist, TwistFigures
@@ -70,18 +71,13 @@ FADING_MEMORY_S: Final = 1.0
 INFLATION: Final = 1.5
 """Variances count as this many times as large: stiffness and tyres differ from those of the
 sheet."""
+DRIVING, TOOTH = map((LOADED_MODEL.names or ()).index, ("driving_nm", "tooth_rad"))
 BEHIND: Final = (TWIST, WHEELS, TYRE, VEHICLE, HILL)
 
 
-def grouped(edges: Vector, within_us: float) -> tuple[Vector, Vector]:
-    """Mean times and mean angles of edges (2, n), in order of time, that lie within so long of one
-    another; n is at least 1."""
-    times, angles, _ = grouped_counts(edges, within_us)
-    return times, angles
-
-
 def grouped_counts(edges: Vector, within_us: float) -> tuple[Vector, Vector, Vector]:
-    """The same, and of how many edges each is."""
+    """Mean times and mean angles of edges (2, n), in order of time, that lie within so long of one
+    another, and of how many edges each is; n is at least 1."""
     group = np.floor((edges[0] - edges[0, 0]) / within_us)
     # Where a group begins: numpy's `unique` sorts what is sorted, for four times as long.
     begins = np.flatnonzero(group[1:] != group[:-1])
@@ -168,6 +164,8 @@ class LoadedDriveline:
         self._gear: DriveGear | None = None
         self._carried, self._load_nm, self._drag_nm = False, 0.0, 0.0
         self._model, self._followed = np.zeros(0), RecordMemory(FOLLOWED)
+        self._model_of: tuple[InGear, bool, Shafts] | None = None
+        """What the model was worked out for; torque and teeth are each step's own."""
         self._x, self._p = np.zeros(LOADED_STATES), np.zeros((LOADED_STATES, LOADED_STATES))
         least, most = sheet.driveline.vehicle_kgm2
         self._inverses = np.array((1.0 / most, 1.0 / least))
@@ -190,11 +188,13 @@ class LoadedDriveline:
             self._gear = gear
             self.lose()
         mesh = self._gears[gear]
-        edges = np.array((layshaft[0], layshaft[1] * mesh.range_ * mesh.main))
-        tooth = _tooth_rad(edges, main[0], mesh.range_ * main[1])
+        room = np.empty((2, layshaft.shape[1]))
+        count, tooth = gear_measurements(
+            layshaft, main, mesh.range_, mesh.main, MEASUREMENT_US, room
+        )
         self._apart = tooth if math.isnan(self._apart) else self._apart
         self._load(mesh, load, shafts, tooth - self._apart)
-        measurements = np.array(grouped(edges, MEASUREMENT_US))
+        measurements = room[:, :count]
         while measurements.shape[1]:
             if self._running:
                 measurements = self._measure(measurements, mesh)
@@ -228,6 +228,10 @@ class LoadedDriveline:
             self._x[WRONG], self._p[WRONG, :], self._p[:, WRONG] = 0.0, 0.0, 0.0
             self._p[WRONG, WRONG] = (ratio * OPEN_NM) ** 2
         self._carried, self._load_nm, self._drag_nm = load.carries, load.torque_nm, drag_nm
+        if self._model_of == (mesh, load.carries, shafts):
+            self._model[DRIVING], self._model[TOOTH] = driving_nm, tooth_rad
+            return
+        self._model_of = mesh, load.carries, shafts
         chance = 2.0 * axle.propeller_chance_nm**2 * axle.chance_s
         road = 2.0 * axle.road_chance_nm**2 * axle.road_chance_s
         self._model = filled(
@@ -338,14 +342,3 @@ class LoadedDriveline:
         half, tooth = (model.view(LOADED_MODEL)[name][0] for name in ("half_lash_rad", "tooth_rad"))
         mean[0] += tooth
         return DrivelineMotion(mean, vectors * np.sqrt(np.maximum(values, 0.0)), float(half))
-
-
-def _tooth_rad(edges: Vector, times_us: Vector, angles: Vector) -> float:
-    """How far the mean of some angles lies from the line through the edges (2, n)."""
-    # Sums over a count: numpy's `mean` takes five times as long for so few.
-    middle_us, middle = np.add.reduce(edges, axis=1) / edges.shape[1]
-    waits = edges[0] - middle_us
-    slope = float(waits @ (edges[1] - middle)) / float(waits @ waits)
-    time_us = float(np.add.reduce(times_us)) / times_us.size
-    along = float(middle) + slope * (time_us - float(middle_us))
-    return float(np.add.reduce(angles)) / angles.size - along

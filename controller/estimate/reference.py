@@ -189,25 +189,25 @@ def log_densities(pitch_rad: float, backlash_rad: float) -> dict[tuple[int, int]
     """What a measurement adds to the logarithm of a middle in each cell beyond its own: by the
     flank to which the slip carried the tooth (0: not known), and the index of its standard
     deviation. Kept, as it takes some milliseconds and is the same for all gears of a gearbox."""
-    away, tables = _distances_rad(pitch_rad).tolist(), {}
-    for flank, upper in ((0, 0.5), (1, CARRIED), (-1, 1.0 - CARRIED)):
-        weight = INDEPENDENT if flank == 0 else 1.0
-        for kind, share in enumerate(MEASUREMENT_SHARES):
-            sd = share * backlash_rad
-            density = [_density(-off, sd, backlash_rad, pitch_rad, upper) for off in away]
-            tables[flank, kind] = weight * np.log(density)
+    phases, half, tables = (-_distances_rad(pitch_rad)).tolist(), backlash_rad / 2.0, {}
+    for kind, share in enumerate(MEASUREMENT_SHARES):
+        sd = share * backlash_rad
+        # Of the flanks, and of what lies between them: by their distances once for all.
+        lower, upper = (
+            np.array([math.exp(-0.5 * ((phase - at) / sd) ** 2) for phase in phases])
+            for at in (-half, half)
+        )
+        above, below = (
+            np.array([math.erf((phase + at) / (sd * math.sqrt(2.0))) for phase in phases])
+            for at in (half, -half)
+        )
+        between = 0.5 * (above - below) / backlash_rad
+        for flank, most in ((0, 0.5), (1, CARRIED), (-1, 1.0 - CARRIED)):
+            flanks = ((1.0 - most) * lower + most * upper) / (sd * math.sqrt(2.0 * math.pi))
+            inside = AT_FLANK * flanks + (1.0 - AT_FLANK) * between
+            weight = INDEPENDENT if flank == 0 else 1.0
+            tables[flank, kind] = weight * np.log((1.0 - ASTRAY) * inside + ASTRAY / pitch_rad)
     return tables
-
-
-def _density(phase: float, sd: float, b: float, pitch_rad: float, upper: float) -> float:
-    flanks = math.fsum(
-        share * math.exp(-0.5 * ((phase - side * b / 2.0) / sd) ** 2)
-        for side, share in ((-1.0, 1.0 - upper), (1.0, upper))
-    ) / (sd * math.sqrt(2.0 * math.pi))
-    ends = [math.erf((phase + side * b / 2.0) / (sd * math.sqrt(2.0))) for side in (1.0, -1.0)]
-    between = 0.5 * (ends[0] - ends[1]) / b
-    inside = AT_FLANK * flanks + (1.0 - AT_FLANK) * between
-    return (1.0 - ASTRAY) * inside + ASTRAY / pitch_rad
 
 
 class GapPosterior:

@@ -59,7 +59,7 @@ LEAST_SD_RAD: Final = math.radians(0.1)
 MOST_SURE: Final = 0.9999
 _TABLE: Final = np.linspace(0.0, MOST_SURE, 400)
 _WIDTHS: Final = np.array([NormalDist().inv_cdf(0.5 + 0.5 * share) for share in _TABLE.tolist()])
-Fullest = tuple[Integers, Integers, Integers]
+LEAST_WIDTH: Final = 1e-2
 
 
 class LashModel(NamedTuple):
@@ -193,7 +193,7 @@ class LashTrajectory:
         move_often(x, STEP_S, model, found)
         self._angle, self._speed = found
         self._nis = nis
-        self._widest_rad = float(np.ptp(self._angle))
+        self._own_rad2 = self._own_variance(TIMES)
         self._merged = np.full((3, STEPS), np.nan)
         """Angle, speed and standard deviation at each step where that was asked for."""
         self._is_merged = [False] * STEPS
@@ -217,23 +217,11 @@ class LashTrajectory:
         if all(self._is_merged[first:end]):
             return
         self._is_merged[first:end] = [True] * (end - first)
-        angle, span_rad, rows = self._angle[first:end], 2.0 * self._half_gap_rad, slice(first, end)
-        # All rows as one ascending line: each begins further on than the one before ends.
-        apart = PLACES[rows, np.newaxis] * (self._widest_rad + 2.0 * span_rad)
-        order, fullest, most = _fullest(angle, apart, span_rad)
-        angle = np.take_along_axis(angle, order, axis=1)
-        speed = np.take_along_axis(self._speed[first:end], order, axis=1)
-        count = angle.shape[1]
-        places = np.arange(count)
-        held = (places >= fullest[:, np.newaxis]) & (places < (fullest + most)[:, np.newaxis])
-        mean = np.sum(angle, axis=1, where=held) / most
-        off = angle - mean[:, np.newaxis]
-        within = np.sum(off * off, axis=1, where=held) / most
-        width = np.sqrt(2.0 * (within + self._own_variance(TIMES)[rows]))
-        shares = most / count * [math.erf(each) for each in self._half_gap_rad / width]
-        self._merged[0, rows] = mean
-        self._merged[1, rows] = np.sum(speed, axis=1, where=held) / most
-        self._merged[2, rows] = self._half_gap_rad / _width(shares) * self._nis
+        order = np.argsort(self._angle[first], kind="stable")
+        merge_steps(
+            self._angle, self._speed, self._own_rad2, self._half_gap_rad, self._nis, _WIDTHS,
+            first, end, order, self._merged,
+        )  # fmt: skip
 
     def after(self, wait_s: float) -> LashTrajectory:
         """The same as seen from a later time."""
@@ -292,7 +280,6 @@ class LashTrajectory:
         Each of the drivelines may be the real one. Those that keep near it until then are still
         possible then; of these the share within half a gap of it will be the probability."""
         angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
-        own = self._own_variance(TIMES)
         known = self._p[0, 0] + LEAST_SD_RAD**2
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
@@ -303,7 +290,7 @@ class LashTrajectory:
         there = angle[later]
         near = np.abs(there[:, :, np.newaxis] - there[:, np.newaxis]) < self._half_gap_rad
         shares = (weights * near).sum(axis=2).mean(axis=1)
-        width = math.sqrt(own[min(round(horizon_s / STEP_S), STEPS - 1)])
+        width = math.sqrt(self._own_rad2[min(round(horizon_s / STEP_S), STEPS - 1)])
         shares *= math.erf(self._half_gap_rad / (math.sqrt(2.0) * width))
         variances = _width(shares) ** -2.0
         return np.asarray(np.minimum(variances / variances[0], 1.0))
@@ -311,7 +298,7 @@ class LashTrajectory:
 
 def _width(share: Vector) -> Vector:
     """Half width of the normal law's span, in its deviations, that holds a share."""
-    return np.asarray(np.maximum(np.interp(share, _TABLE, _WIDTHS), 1e-2))
+    return np.asarray(np.maximum(np.interp(share, _TABLE, _WIDTHS), LEAST_WIDTH))
 
 
 @compiled
@@ -332,64 +319,49 @@ def widest_apart(angle: Vector, rows: Integers, most: Vector) -> None:
             noted += 1
 
 
-def _fullest_at_once(angle: Vector, apart: Vector, span_rad: float) -> Fullest:
-    """In each row of angles (m, n) the span that holds most of them: the order in which they
-    ascend (m, n), the index therein of the span's first one, and how many there are. Of spans that
-    hold as many it is the one in the middle: a lone group is met in its middle.
-
-    apart (m, 1) is added to each row, so that each begins beyond the one before."""
-    rows, count = angle.shape
-    order = np.argsort(angle, axis=1, kind="stable")
-    line = np.take_along_axis(angle, order, axis=1) + apart
-    ends = np.searchsorted(line.ravel(), (line + span_rad).ravel(), side="right")
-    inside = ends.reshape(rows, count) - np.arange(rows * count).reshape(rows, count)
-    most = inside.max(axis=1)
-    counted = np.cumsum(inside == most[:, np.newaxis], axis=1)
-    first = np.argmax(counted > counted[:, -1:] // 2, axis=1)
-    return order, first, most
-
-
-def _fullest_by_kernel(angle: Vector, apart: Vector, span_rad: float) -> Fullest:
-    """The same, in a third of the time."""
-    rows, count = angle.shape
-    order, spans = np.empty((rows, count), np.int64), np.empty((2, rows), np.int64)
-    order[0] = np.argsort(angle[0], kind="stable")
-    fullest_spans(angle, apart.ravel(), span_rad, order, spans)
-    return order, spans[0], spans[1]
-
-
-_fullest: Final = _fullest_at_once if DISABLED else _fullest_by_kernel
-
-
 @compiled
-def fullest_spans(
-    angle: Vector, apart: Vector, span_rad: float, order: Integers, spans: Integers
-) -> None:
-    """As `_fullest_at_once`; order, of which the first row is given, and spans (2, m): first and
-    most."""
-    rows, count = angle.shape
-    line, inside = np.empty(count), np.empty(count, np.int64)
-    for r in range(rows):
-        if r > 0:
-            # A step earlier they came in nearly the same order: little is left to be moved.
-            for i in range(count):
-                order[r, i] = order[r - 1, i]
-            sort_on(angle[r], order[r])
+def merge_steps(
+    angle: Vector, speed: Vector, own_rad2: Vector, half_gap: float, nis: float, widths: Vector,
+    first: int, end: int, order: Integers, merged: Vector,
+) -> None:  # fmt: skip
+    """Of some steps of a trajectory (m, n) the span of a gap's width that holds most drivelines:
+    mean angle and mean speed in it, and the deviation of the normal law that lies within half a gap
+    with the same probability, to merged (3, m).
+
+    Of spans that hold as many it is the one in the middle: a lone group is met in its middle.
+    order (n,): in which the first step's angles ascend; widths: of `_width`'s table."""
+    count = angle.shape[1]
+    inside = np.empty(count, np.int64)
+    for step in range(first, end):
+        at = angle[step]
+        # A step earlier they came in nearly the same order: little is left to be moved.
+        sort_on(at, order)
+        last, most, as_many = 0, 0, 0
         for i in range(count):
-            line[i] = angle[r, order[r, i]] + apart[r]
-        end, most, as_many = 0, 0, 0
-        for i in range(count):
-            while end < count and line[end] <= line[i] + span_rad:
-                end += 1
-            inside[i] = end - i
+            while last < count and at[order[last]] <= at[order[i]] + 2.0 * half_gap:
+                last += 1
+            inside[i] = last - i
             if inside[i] > most:
                 most, as_many = inside[i], 0
             as_many += 1 if inside[i] == most else 0
-        first, passed = -1, 0
-        while passed <= as_many // 2 and first + 1 < count:
-            first += 1
-            passed += 1 if inside[first] == most else 0
-        spans[0, r], spans[1, r] = first, most
+        begin, passed = -1, 0
+        while passed <= as_many // 2 and begin + 1 < count:
+            begin += 1
+            passed += 1 if inside[begin] == most else 0
+        held = order[begin : begin + most]
+        mean = fast = within = 0.0
+        for i in held:
+            mean += at[i]
+            fast += speed[step, i]
+        mean, fast = mean / most, fast / most
+        for i in held:
+            within += (at[i] - mean) ** 2
+        width = math.sqrt(2.0 * (within / most + own_rad2[step]))
+        share = most / count * math.erf(half_gap / width)
+        place = min(share / MOST_SURE, 1.0) * (widths.size - 1)
+        k = min(int(place), widths.size - 2)
+        width = max(widths[k] + (place - k) * (widths[k + 1] - widths[k]), LEAST_WIDTH)
+        merged[0, step], merged[1, step], merged[2, step] = mean, fast, half_gap / width * nis
 
 
 @inlined

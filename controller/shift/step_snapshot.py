@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -65,7 +67,8 @@ class StepSnapshot:
     """The earliest activation time that a command sent now can still meet."""
     view: GearboxView
     layshaft: LayshaftTracker
-    main: ShaftState | None
+    main_at: Callable[[float], ShaftState | None]
+    """The main shaft at a sensor time."""
     speeds: ShaftSpeeds
     lost: FaultCode
     """The input that a shift needs and that is missing (`MISSING`) or contradicted (`WHEEL_FAULTS`,
@@ -92,6 +95,11 @@ class StepSnapshot:
     the end of a valve's pulse."""
     loaded: LoadedDriveline | None = None
     """The driveline with a gear in mesh; None: nobody follows it."""
+
+    @cached_property
+    def main(self) -> ShaftState | None:
+        """The main shaft now; worked out where a state asks for it, which most do not."""
+        return self.main_at(self.now_us)
 
     @property
     def at_once_us(self) -> int:

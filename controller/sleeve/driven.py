@@ -96,7 +96,8 @@ def follow(
     first_us and every millisecond after. from_m: each row's own place to start from."""
     begin_us, count = start.time_us, len(unknowns)
     coils = [((time_us - begin_us) * US, valve, on) for time_us, valve, on in switches]
-    states, ways = np.tile(start.state, (count, 1)), np.empty((count, WAY_WORDS))
+    states, ways = np.empty((count, start.state.size)), np.empty((count, WAY_WORDS))
+    states[:] = start.state
     if from_m is not None:
         states[:, 0] = from_m
     carry(
@@ -174,6 +175,8 @@ class DrivenSleeve:
 
     def expected(self, valve: int, switches: list[tuple[int, bool]], now_us: int) -> None:
         """What is to come of a valve is this."""
+        if not (switches[0][1] or self.switches or self.start.state[4 + valve]):
+            return  # off, as it is
         wanted = [Switch(time_us, valve, on) for time_us, on in switches]
         self._keep(lambda one: one.valve != valve or one.time_us <= now_us or one in wanted)
         for one in wanted:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -199,6 +200,7 @@ class Fitted(NamedTuple):
     left_m: Vector
 
 
+@cache
 def probes(count: int) -> Vector:
     """Steps for the slopes: of delays (s), logarithms, detents (kN), offset (mm)."""
     steps = np.full(count, 0.02)
@@ -213,7 +215,8 @@ def slopes(of: Figures, at: Vector, base: float | Vector, moved_by: Sequence[int
     """How each figure that `of` gives, here `base`, changes with each unknown: one column each.
     moved_by: those that it changes with at all."""
     steps = probes(len(at))
-    tried = np.tile(at, (len(moved_by), 1))
+    tried = np.empty((len(moved_by), len(at)))
+    tried[:] = at
     tried[range(len(moved_by)), moved_by] += steps[moved_by]
     rows = np.zeros((len(at), *np.shape(base)))
     rows[moved_by] = ((of(tried) - base).T / steps[moved_by]).T

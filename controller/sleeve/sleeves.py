@@ -112,8 +112,10 @@ class Sleeves:
         """By so much longer than its current a pulse may be, its valve late to shut."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
-        self._abort_after: dict[MainGear, tuple[tuple[int, int], int]] = {}
-        """By gear: for what it was worked out, and so long after a firing the last abort comes."""
+        self._abort_after_us: dict[MainGear, int] = {}
+        """By gear: so long after a firing the last abort comes."""
+        self._abort_known: dict[MainGear, tuple[int, int]] = {}
+        """By what that was worked out, unless that has changed since."""
         self._learned: set[Sleeve] = set()
         """Those of which this step has learned something."""
         self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
@@ -172,7 +174,7 @@ class Sleeves:
 
     def _tell_scatter(self) -> None:
         self._from_rest.clear()
-        self._abort_after.clear()
+        self._abort_known.clear()
         for gear, side in _SIDES.items():
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
 
@@ -294,12 +296,11 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
-        found = self._abort_after.get(gear)
-        is_old = found is not None and found[0] != known and side.sleeve not in self._learned
-        if found is None or is_old:
-            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
-            found = self._abort_after[gear] = (known, 0 if last_us is None else last_us)
-        return found[1]
+        before, near_us = self._abort_known.get(gear), self._abort_after_us.get(gear)
+        if before is None or (before != known and side.sleeve not in self._learned):
+            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction, near_us)
+            self._abort_after_us[gear], self._abort_known[gear] = last_us or 0, known
+        return self._abort_after_us[gear]
 
     def abort(self, gear: MainGear, at_us: int) -> Halt:
         """How a sleeve on its way to this gear is stopped from then on, and where it will stand."""

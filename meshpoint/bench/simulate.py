@@ -186,6 +186,7 @@ def simulate(
     is_plain = setup.wire is WireProfile.FD and setup.bus_load is None  # else content is length
     if is_plain and not any((on_frame, on_step, record, apart)):
         core.skip_unsubscribed(FOR_LOGS)
+        rig.skip_unsubscribed(monitor.unread)
     controller: Core = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
     if on_step is not None:
         controller = _Watched(controller, lambda step: on_step(core, step.frames))
@@ -194,10 +195,12 @@ def simulate(
 
     def take(time_us: int, frame: Frame) -> None:
         nonlocal reported
-        messages = [monitor.take(heard) for heard in unpack(frame)]
+        is_over = False
+        for heard in unpack(frame):
+            is_over = type(monitor.take(heard)) is ShiftOutcome or is_over
         if on_frame is not None:
             on_frame(time_us, frame)
-        if on_row is not None and any(type(message) is ShiftOutcome for message in messages):
+        if is_over and on_row is not None:
             for row in monitor.rows.rows[reported:]:
                 on_row(row)
             reported = len(monitor.rows.rows)

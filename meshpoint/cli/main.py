@@ -19,6 +19,7 @@ from meshpoint.cli.table import (
     front_parser,
     moved_words,
 )
+from meshpoint.kernels.watch import WATCH, uncollected
 
 ABOUT_ALL = frozenset({"-h", "--help", "--version"})
 """Said before a command, these end the line."""
@@ -36,12 +37,12 @@ def run_parsed(parse: Callable[[], argparse.Namespace]) -> int:
     The namespace has `run`, which is called with it, `program` for the errors, and `debug`."""
     with lasting_error() as said:
         try:
-            namespace = parse()  # loads what the command needs, a second or more
+            with uncollected():  # what is loaded stays
+                namespace = parse()
         except KeyboardInterrupt:
             sys.stderr.write("interrupted\n")
             return Exit.INTERRUPTED
         from meshpoint.bench.compiling import Progress
-        from meshpoint.kernels.watch import WATCH
 
         before = WATCH.compiling
         WATCH.compiling = Progress(rewrites=False).count

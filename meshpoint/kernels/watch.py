@@ -40,16 +40,21 @@ class CacheWatch:
 
 
 WATCH: Final = CacheWatch()
+MANY_OBJECTS: Final = 10_000
+"""More are made where modules or kernels are loaded; to parse a line takes some hundreds."""
 
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Compiling within it leaves the garbage collector out, which otherwise takes a seventh of the
-    time: numba makes many objects and keeps nearly all."""
+    """Loading and compiling within it leave the garbage collector out, which otherwise takes a
+    seventh of the time: modules and numba make many objects and keep nearly all. Where they made
+    many, what there is then is set aside for good."""
     was_on = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if was_on:
+            if gc.get_count()[0] > MANY_OBJECTS:
+                gc.freeze()
             gc.enable()

@@ -201,7 +201,7 @@ class _Draw:
             now_us + seen.lead_us,
             self._parting.view,
             cast(LayshaftTracker, layshaft),
-            main,
+            lambda _: main,
             speeds,
             FaultCode.NONE,
             tuple(command.on or command.before for command in commands),

@@ -89,7 +89,7 @@ class ReplayEstimator:
             sensor_us + seen.earliest_us - seen.now_us,
             observer.view,
             observer.layshaft,
-            observer.main_at(sensor_us),
+            observer.main_at,
             self._speeds,
             seen.lost,
             seen.driven,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
@@ -47,6 +47,9 @@ def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
 class RowMonitor:
     """Decodes what the rows of shifts need, the rig's truth included."""
 
+    unread: ClassVar[tuple[type[Message], ...]] = (ReferenceEncoder,)
+    """What a rig works out for onlookers, and this one does not read."""
+
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         aim_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self.rows = RowCollector(sheet, aim_rad, settings)
@@ -72,6 +75,8 @@ class RowMonitor:
 
 class Monitor(RowMonitor):
     """Scores the estimators as well, which takes longer than all else here."""
+
+    unread = ()
 
     def __init__(
         self,

@@ -183,12 +183,11 @@ def _apart(namespace: argparse.Namespace, setup: Setup) -> Apart | None:
     return RigApart(setup, namespace.silkit)
 
 
-def _monitor(namespace: argparse.Namespace, setup: Setup) -> RowMonitor:
-    """What looks at the bus; it compares the estimators as asked, else where that is shown."""
-    is_scored = namespace.score_estimators
-    if is_scored is None:
-        is_scored = namespace.json is not None or namespace.report is not None
-    return (Monitor if is_scored else RowMonitor)(setup.sheet, setup.settings)
+def _is_scored(namespace: argparse.Namespace) -> bool:
+    """Whether the estimators are compared: as asked, else where that is shown."""
+    asked: bool | None = namespace.score_estimators
+    is_shown = namespace.json is not None or namespace.report is not None
+    return is_shown if asked is None else asked
 
 
 def run(namespace: argparse.Namespace) -> int:
@@ -200,7 +199,9 @@ def run(namespace: argparse.Namespace) -> int:
     apart = _apart(namespace, setup)
     out = console(namespace.json)
     check_report(namespace.report)
-    prepare_once(thesis=preset is Preset.THESIS)  # after all that may be wrong
+    is_scored = _is_scored(namespace)
+    # After all that may be wrong.
+    prepare_once(thesis=preset is Preset.THESIS, baselines=is_scored)
     collector, beliefs = None, Beliefs()
     if namespace.report is not None:
         collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings, beliefs)
@@ -233,7 +234,7 @@ def run(namespace: argparse.Namespace) -> int:
             setup,
             on_frame if namespace.log or namespace.report else None,
             on_row,
-            monitor=_monitor(namespace, setup),
+            monitor=(Monitor if is_scored else RowMonitor)(setup.sheet, setup.settings),
             keep=_keep(writer, unwritten),
             stop=stop,
             record=None if log is None else log.path.parent,

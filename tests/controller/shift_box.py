@@ -290,7 +290,7 @@ class Box:
         )
         values = {
             "now_us": self.now_us, "earliest_us": self.now_us + LEAD_US, "view": self.view,
-            "layshaft": tracker, "main": main, "speeds": speeds, "lost": self.lost,
+            "layshaft": tracker, "main_at": lambda _: main, "speeds": speeds, "lost": self.lost,
             "driven": reported, "supply_pa": self.supply_pa, "engine_rad_s": self.engine,
             "engine_torque_share": round(self.torque, 2),
             "is_self_tested": self.is_self_tested,

@@ -224,3 +224,25 @@ def test_a_step_asked_for_alone_is_that_of_the_whole_trajectory_to_the_bit() -> 
         assert alone.ahead(wait_s) == (angle, speed)
         again = trajectory_of(scattered(), nis=1.3)
         assert again.theta_sd_ahead(wait_s) == whole.theta_sd_ahead(wait_s)
+
+
+def test_the_mean_and_its_deviation_are_those_of_the_fullest_gap_by_plain_counting() -> None:
+    """Each driveline asked how many lie within a gap above it; of those with most the middle one.
+    With drivelines that turn freely all angles are known on paper."""
+    rng = np.random.default_rng(3)
+    speeds = rng.normal(62.0, 1.5, 240).tolist()
+    trajectory = trajectory_of(turning(speeds))
+    for step in (6, 12, 20, STEPS - 1):
+        wait_s = step * STEP_S
+        angles = sorted(speed * wait_s for speed in speeds)
+        held = [[b for b in angles if 0.0 <= b - a <= 2.0 * HALF_GAP_RAD] for a in angles]
+        most = max(map(len, held))
+        fullest = [each for each in held if len(each) == most]
+        group = np.array(fullest[len(fullest) // 2])
+        width = math.sqrt(2.0 * (float(group.var()) + variance_after(wait_s)))
+        share = most / len(angles) * math.erf(HALF_GAP_RAD / width)
+        angle, speed = trajectory.ahead(wait_s)
+        assert angle == pytest.approx(float(group.mean()), abs=1e-9)
+        assert speed == pytest.approx(angle / wait_s)
+        sure = deviation_within_a_gap(min(share, MOST_SURE))
+        assert trajectory.theta_sd_ahead(wait_s) == pytest.approx(sure, rel=5e-3)

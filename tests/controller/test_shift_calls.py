@@ -202,7 +202,8 @@ def test_the_range_is_not_taken_for_changed_before_its_shafts_turn_together() ->
         found = snapshot(**other)
         main = found.main
         assert main is not None
-        return snapshot(main=main._replace(omega_rad_s=main.omega_rad_s * estimated[0]))
+        wrong = main._replace(omega_rad_s=main.omega_rad_s * estimated[0])
+        return snapshot(main_at=lambda _: wrong)
 
     box.snapshot = late  # type: ignore[method-assign]
     for _ in range(40):
@@ -235,7 +236,8 @@ def test_speeds_that_never_agree_after_a_change_of_range_end_the_shift() -> None
     box.ask(7)
     box.until(State.STEPS_CHANGING)
     snapshot = box.snapshot
-    box.snapshot = lambda **other: snapshot(**{"main": None} | other)  # type: ignore[method-assign]
+    nothing = {"main_at": lambda _: None}
+    box.snapshot = lambda **other: snapshot(**nothing | other)  # type: ignore[method-assign]
     while box.running():
         box.step()
     record = box.records[-1]
