@@ -49,7 +49,7 @@ def _note_pulled(
 ) -> None:
     """A gear that is pulled, or was and is still measured in."""
     gear = state.pulled[sleeve]
-    if abs(seen.positions_m[sleeve]) <= limits.engaged_m:
+    if abs(seen.positions_m[sleeve]) <= limits.in_mesh_m:
         gear.forget()
     elif state.pulls.intersection(limits.valves_of(sleeve)):
         gear.pull(seen.now_us, seen.gear_rad)

@@ -138,7 +138,7 @@ class GuardView:
         self._wheels = ShaftsInMesh(sheet, limits)
         self._swings = (SwingMemory(), SwingMemory())
         self._held = HeldGear(limits.main, sheet.dog.pitch_rad, limits.apart_m)
-        self._apart_m, self._engaged_m = limits.apart_m, limits.engaged_m
+        self._apart_m, self._in_mesh_m = limits.apart_m, limits.in_mesh_m
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -275,7 +275,7 @@ class GuardView:
         shafts = [Shaft(self._shafts[k].counted, speed, teeth) for k, speed, teeth in wheels]
         agreeing = self._agreeing(positions, layshaft, main, now_us)
         held = self._held.take(agreeing, positions, *shafts)
-        side = [end_of(position, self._engaged_m) for position in positions]
+        side = [end_of(position, self._in_mesh_m) for position in positions]
         ratios = [each.ratio for each in self._main.values() if side[each.sleeve] == each.direction]
         return held, gear_angle_rad(ratios[0], *shafts) if len(ratios) == 1 else None
 

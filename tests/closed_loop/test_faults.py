@@ -22,6 +22,7 @@ from meshpoint.dbc.messages import (
     FaultCode,
     RigFault,
     ShiftResult,
+    SleevesMain,
     ValveCommand,
 )
 from meshpoint.gearbox import Sleeve, load_sheet
@@ -191,6 +192,29 @@ def test_a_frozen_sensor_throws_no_sleeve_onto_the_opposite_gear(
     loop.fault(Fault.POSITION_FROZEN, [Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD].index(sleeve))
     assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
     assert loop.outcomes[0].fault is Code.POSITION_STALE
+    assert loop.violations == 0
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("stuck_mm", [10.5, 8.0])
+@pytest.mark.parametrize("pair", [(8, 10), (10, 12), (3, 5)])
+def test_a_sensor_that_freezes_as_a_gear_comes_out_throws_no_sleeve(
+    pair: tuple[int, int], stuck_mm: float
+) -> None:
+    """Red before in four of six: pushed on from there by ever more, the sleeve went from neutral to
+    the opposite gear."""
+    loop = Loop(
+        [(REQUEST_US, pair[1])], sheet=TRUCK12, preset=Preset.TRUCK, profile=Profile.HARSH,
+        start_gear=pair[0], toward=pair[1], seed=4,
+    )  # fmt: skip
+    loop.run_to_state(State.DISENGAGING, PATIENCE_US)
+    assert loop.until(
+        lambda: 1e3 * abs(loop.last(SleevesMain).sleeve_first_second_m[0]) < stuck_mm, PATIENCE_US
+    )
+    loop.fault(Fault.POSITION_FROZEN, 0)
+    assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
+    loop.run(loop.time.now_us + 3_000_000)
+    assert loop.status.state is State.FAULTED
     assert loop.violations == 0
 
 

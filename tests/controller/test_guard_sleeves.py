@@ -274,8 +274,8 @@ def test_a_gear_that_was_pulled_and_turns_free_is_not_pulled_again() -> None:
 
 def test_it_is_denied_as_it_stands_in_its_gear_by_its_sensor_alone() -> None:
     """One that moves is on its way out, and one that has moved out and back is none that sticks."""
-    assert pulled_again(rests_mm=11.0) is None
-    assert pulled_again(rests_mm=11.01) == 13
+    assert pulled_again(rests_mm=6.2) != 13
+    assert pulled_again(rests_mm=6.21) == 13
     assert pulled_again(speed_m_s=0.06) != 13
 
 
