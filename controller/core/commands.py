@@ -60,7 +60,11 @@ class GuardedCommands:
         frame = self._transmitter.encode(valves)
         seen = self._view.take(heard, now_us, snapshot.now_us)
         self._note_wheels(seen.in_doubt, events)
-        if not guard.passes(frame.data, seen):
+        denied = guard.gear_is_denied
+        passes = guard.passes(frame.data, seen)
+        if guard.gear_is_denied and not denied:
+            events.append("a gear is measured in, but turns against its sleeve")
+        if not passes:
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)
             frame = self._transmitter.instead(ValveCommand())

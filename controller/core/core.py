@@ -358,6 +358,7 @@ class ControllerCore:
         if (
             not (view.complete and receiver.all_valid(POSITIONS))
             or sensor_us - view.oldest_us > FRESH_US
+            or self._guarded.guard.gear_is_denied
         ):
             return FaultCode.POSITION_STALE
         if in_doubt := self._guarded.in_doubt:

@@ -12,6 +12,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from meshpoint.controller.guard.held_gear import PulledGear
 from meshpoint.controller.guard.limits import (
     CLEAR_M,
     GUARD_NEUTRAL_M,
@@ -136,6 +137,8 @@ class GuardState:
     """Where a main sleeve stood as its driven valve set it going, positive toward its gear."""
     withstood_us: dict[int, int] = field(default_factory=dict)
     """The longest pull by each main valve that did not take its sleeve beyond neutral."""
+    pulled: tuple[PulledGear, PulledGear] = field(default_factory=PulledGear.two)
+    """By main sleeve: whether the gear that it is measured in has turned free since a pull."""
     pushes: dict[int, Drive] = field(default_factory=dict)
     """The last push towards neutral by each main valve, of a sleeve before the other gear's teeth,
     that did not take it beyond neutral."""

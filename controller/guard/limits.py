@@ -103,6 +103,10 @@ class GuardLimits:
     supply_low_pa: float
     engaged_m: float
     """From here to its end a sleeve stands in its gear or step."""
+    in_mesh_m: float
+    """From here to its end a main sleeve surely has its gear's teeth between its own."""
+    free_rad: float
+    """A gear that has turned against its sleeve by more than this is not in mesh."""
     plate_slip_rad_s: float
     """Most slip over the clutch's plates on which it may close with a gear in."""
     clutch_travel_us: int
@@ -225,6 +229,8 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         before_teeth_us=guard.before_teeth_ms * 1000,
         supply_low_pa=guard.supply_low_pa,
         engaged_m=sleeve.stroke_m - GUARD_END_M,
+        in_mesh_m=sleeve.to_contact_m + sheet.dog.most_overlap_m,
+        free_rad=sheet.dog.free_rad,
         plate_slip_rad_s=_plate_slip_rad_s(sheet),
         clutch_travel_us=round((sheet.clutch.open_delay_s + sheet.clutch.close_delay_s) * 1e6),
         torque_away_us=1000 * (longest_ramp_ms(settings) + settings.limits.clutch_ms),

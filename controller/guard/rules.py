@@ -251,10 +251,18 @@ def output_before_the_self_test(case: JudgedCommand) -> bool:
     return any(case.spans) and not ready
 
 
+def gear_is_denied(state: GuardState, seen: GuardInputs) -> bool:
+    """Whether the shafts say that a sleeve is not in the gear that it is measured in."""
+    return seen.gear_is_wrong or any(gear.is_denied for gear in state.pulled)
+
+
 def sensor_denies_a_gear(case: JudgedCommand) -> bool:
     """Row 13: both sleeves are measured in neutral, but a gear turns exactly with its sleeve, so it
     is taken to be in mesh. Brake, range and the other sleeve may not be driven then; the sleeve of
-    that gear may."""
+    that gear may. Or a sleeve is measured in its gear, but the shafts say that it is not: nobody
+    knows where it is, and none may be driven."""
+    if gear_is_denied(case.state, case.seen):
+        return any(case.spans[valve] is not None for valve in MAIN_VALVES)
     if case.seen.agreeing == 0:
         return False
     sleeve = case.limits.main[case.seen.agreeing].sleeve
@@ -340,6 +348,8 @@ class Guard:
         self._is_sound = limits.are_sane and _decodes_as_it_should()
         self.blocks = 0
         self.blocked_row: int | None = None
+        self.gear_is_denied = False
+        """Whether a sleeve is measured in a gear that it is not in, as of the newest step."""
 
     @property
     def is_proven(self) -> bool:
@@ -383,6 +393,7 @@ class Guard:
         state = self._state
         self._note_request(seen)
         note_sleeves(state, seen, self._limits)
+        self.gear_is_denied = gear_is_denied(state, seen)
         if seen.clock_is_new:
             state.proofs = 0
         if state.proofs < PROOF_STEPS:

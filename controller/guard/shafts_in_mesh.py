@@ -161,6 +161,18 @@ class ShaftsInMesh:
         """Wheels that read wrong, 0 input, 1 layshaft, 2 main, 3 propeller: one where the others
         agree without it, else all that it may be."""
 
+    @property
+    def denies_gear(self) -> bool:
+        """Whether layshaft and main shaft contradict each other by the gear that is measured in,
+        and each agrees with its other neighbour: the gear's position is wrong."""
+        pair = self._pairs[MAIN_PAIR]
+        return (
+            pair.in_mesh
+            and pair.verdict is Verdict.DENIED
+            and not self.in_doubt
+            and not self._has_to_wait()
+        )
+
     def forget_counts(self) -> None:
         """The sensors have started anew: their counts do not go on. What was found holds."""
         for pair in self._pairs:

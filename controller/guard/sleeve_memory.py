@@ -15,6 +15,8 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
     if seen.clock_is_new:
         state.before_teeth_us = dict.fromkeys(state.before_teeth_us, now_us)
         state.drives = {valve: each.ending_at(now_us) for valve, each in state.drives.items()}
+        for gear in state.pulled:
+            gear.restart()
     if not seen.valid:
         return
     for sleeve in (0, 1):
@@ -23,7 +25,9 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
         is_shut = all(
             seen.positions_us >= end_us + limits.valve_between_us[1] for end_us in ends_us
         )
-        if is_shut and abs(seen.means_m_s[sleeve]) < LEAVING_M_S:
+        stands = is_shut and abs(seen.means_m_s[sleeve]) < LEAVING_M_S
+        _note_pulled(state, seen, limits, sleeve, stands=stands)
+        if stands:
             for valve in mine:
                 drive = state.drives.pop(valve, None)
                 way_m = seen.positions_m[sleeve] * limits.main[valve].direction
@@ -38,6 +42,19 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
             state.before_teeth_us.pop(sleeve, None)
         elif not any(state.spans[valve] for valve in mine):
             state.before_teeth_us.setdefault(sleeve, now_us)
+
+
+def _note_pulled(
+    state: GuardState, seen: GuardInputs, limits: GuardLimits, sleeve: int, *, stands: bool
+) -> None:
+    """A gear that is pulled, or was and is still measured in."""
+    gear = state.pulled[sleeve]
+    if abs(seen.positions_m[sleeve]) <= limits.in_mesh_m:
+        gear.forget()
+    elif state.pulls.intersection(limits.valves_of(sleeve)):
+        gear.pull(seen.now_us, seen.gear_rad)
+    elif stands:
+        gear.stands(seen.now_us, seen.gear_rad, limits.free_rad)
 
 
 def remember_drives(case: JudgedCommand) -> None:

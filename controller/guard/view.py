@@ -13,8 +13,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from meshpoint.controller.guard.held_gear import HeldGear, Shaft
-from meshpoint.controller.guard.limits import GuardLimits
+from meshpoint.controller.guard.held_gear import HeldGear, Shaft, gear_angle_rad
+from meshpoint.controller.guard.limits import GuardLimits, end_of
 from meshpoint.controller.guard.listening import (
     EDGES,
     LAYSHAFT_EDGES,
@@ -100,6 +100,11 @@ class GuardInputs(NamedTuple):
     """How the speeds of layshaft and main shaft change and have changed; None where not known."""
     means_m_s: tuple[float, float] = (0.0, 0.0)
     """Of the two main sleeves, over all samples of a frame: with less noise, and later."""
+    gear_rad: float | None = None
+    """Angle of the gear that a main sleeve is measured in against that sleeve, from anywhere; None
+    where none is, or a wheel's teeth are not known."""
+    gear_is_wrong: bool = False
+    """Whether the counts of all wheels say that this gear is not in."""
 
 
 def _read_by_all(reads_us: list[int]) -> int | None:
@@ -133,7 +138,7 @@ class GuardView:
         self._wheels = ShaftsInMesh(sheet, limits)
         self._swings = (SwingMemory(), SwingMemory())
         self._held = HeldGear(limits.main, sheet.dog.pitch_rad, limits.apart_m)
-        self._apart_m = limits.apart_m
+        self._apart_m, self._in_mesh_m = limits.apart_m, limits.in_mesh_m
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -167,6 +172,7 @@ class GuardView:
         is_valid = ear.hears_all and now_us - oldest_us <= GUARD_FRESH_US
         in_doubt = self._doubted(positions if is_valid else None, speeds)
         a, b, c, d = (None if k in in_doubt else speed for k, speed in enumerate(speeds))
+        agreeing, gear_rad = self._in_mesh(positions, b, c, now_us)
         return GuardInputs(
             now_us,
             positions,
@@ -174,7 +180,7 @@ class GuardView:
             supply_pa,
             brake_pa,
             (a, b, c, d),
-            self._in_mesh(positions, b, c, now_us),
+            agreeing,
             is_valid,
             engine.speed_rad_s,
             gear,
@@ -190,6 +196,8 @@ class GuardView:
             in_doubt,
             (self._swings[0].take(b), self._swings[1].take(c)),
             ear.slow[SLEEVES_MAIN].means_m_s,
+            gear_rad,
+            self._wheels.denies_gear,
         )
 
     def _begin_anew(self) -> None:
@@ -261,12 +269,15 @@ class GuardView:
         layshaft: ShaftSpeed | None,
         main: ShaftSpeed | None,
         now_us: int,
-    ) -> int:
-        """The valve of `GuardInputs.agreeing`."""
+    ) -> tuple[int, float | None]:
+        """The valve of `GuardInputs.agreeing`, and its `gear_rad`."""
         wheels = zip((LAYSHAFT_EDGES, MAIN_EDGES), (layshaft, main), self._teeth, strict=True)
         shafts = [Shaft(self._shafts[k].counted, speed, teeth) for k, speed, teeth in wheels]
         agreeing = self._agreeing(positions, layshaft, main, now_us)
-        return self._held.take(agreeing, positions, *shafts)
+        held = self._held.take(agreeing, positions, *shafts)
+        side = [end_of(position, self._in_mesh_m) for position in positions]
+        ratios = [each.ratio for each in self._main.values() if side[each.sleeve] == each.direction]
+        return held, gear_angle_rad(ratios[0], *shafts) if len(ratios) == 1 else None
 
     def _agreeing(
         self,

@@ -11,6 +11,7 @@ between the teeth may stop there.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from meshpoint.controller.estimate.reference import RELEASED
@@ -48,6 +49,12 @@ LEAVES_M_S: Final = 0.1
 PULL_PAUSE_US: Final = 60 * MS_IN_US
 """The valve is off for this long between two attempts: torque on the teeth may reverse
 meanwhile."""
+SHOWS_US: Final = 140 * MS_IN_US
+"""A pull that has taken a gear out has done so by so much later than its valve's current, what the
+gear turns by then is read and acted on (50 ms), and the main shaft may swing along with it for half
+a period (90 ms)."""
+LEAST_DRAG_RAD_S2: Final = 5.0
+"""No layshaft falls more slowly: bearings and oil."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
@@ -118,7 +125,19 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> N
         if is_ahead and unloaded_us <= command.time_us <= pulse.on_us:
             return  # each step would put it off once more
         context.board.pulse(valve, pulse.on_us, pulse.off_us, now_us)
-        shift.pull_again_us = pulse.off_us + PULL_PAUSE_US
+        shift.pull_again_us = pulse.off_us + max(PULL_PAUSE_US, _shows_us(context, snapshot, gear))
+
+
+def _shows_us(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> int:
+    """So long after a pull its shafts show a gear that has come out though its sleeve's sensor does
+    not: drag has turned it by `free_rad`. Pulled sooner, the sleeve would go on to the opposite
+    gear."""
+    sheet, layshaft = context.sheet, snapshot.speeds.layshaft or 0.0
+    split = snapshot.view.split or context.running.target.split
+    drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(split)
+    turned_rad = sheet.dog.free_rad / sheet.main_mesh(gear).ratio
+    turns_s = math.sqrt(2.0 * turned_rad / max(drag_rad_s2, LEAST_DRAG_RAD_S2))
+    return SHOWS_US + round(turns_s * SECOND_US)
 
 
 def _stays_in(context: ShiftContext, snapshot: StepSnapshot) -> bool:

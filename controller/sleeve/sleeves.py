@@ -316,7 +316,7 @@ class Sleeves:
         if not tracked.stands:
             return self.brake(sleeve, at_us)
         stands_m = tracked.place_of(tracked.rest_m)  # whatever pull of its detent the law sees
-        if abs(stands_m) < NEAR_NEUTRAL_M:
+        if abs(stands_m) < NEAR_NEUTRAL_M or tracked.waits(at_us):
             return None
         direction = 1 if stands_m < 0.0 else -1
         most_us = self._withstands_us(sleeve, direction, stands_m)

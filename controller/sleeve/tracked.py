@@ -38,6 +38,10 @@ STOP_SD_M: Final = 1e-4
 """Deviation of a sleeve's stop in its gear from the sheet's stroke."""
 NEUTRAL_M: Final = 1.5e-3
 MOVED_M: Final = 1e-3
+MOST_IN_VAIN: Final = 3
+"""After more pushes in vain the next one is no longer than a first one, and waits until both
+chambers have vented: of a sensor that is stuck they would throw the sleeve."""
+VENTS_US: Final = 300_000
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
 SPEED_SAMPLES: Final = 4
@@ -89,6 +93,8 @@ class TrackedSleeve(DrivenSleeve):
         self.withstood: dict[tuple[int, bool], Push] = {}
         """By direction, and whether out of a gear: the last push towards neutral that did not throw
         it through."""
+        self._in_vain = 0
+        """So many pushes in a row have left it where it stood, by its sensor."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
@@ -196,6 +202,10 @@ class TrackedSleeve(DrivenSleeve):
         """Whether it rests and no valve is to move it."""
         return self.rests and not self.switches
 
+    def waits(self, at_us: int) -> bool:
+        """Whether it is not to be pushed to neutral yet, after pushes in vain."""
+        return self._in_vain > MOST_IN_VAIN and at_us - self._switched_us < VENTS_US
+
     @property
     def last_switch_us(self) -> int:
         """When a valve of it last switches, as far as commanded."""
@@ -210,6 +220,7 @@ class TrackedSleeve(DrivenSleeve):
         self._see_push()
         if self.is_free:
             self._learn()
+        self._switched_us = self.last_switch_us
         self._keep(lambda one: one.time_us > track.newest_us)
         place_m = self.place_of(track.samples_m[0])
         if abs(place_m) > self.law.in_gear_m > abs(self.place_of(self.rest_m)):
@@ -228,7 +239,10 @@ class TrackedSleeve(DrivenSleeve):
             return
         in_gear = abs(from_m) > self.law.in_gear_m
         way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
-        if abs(from_m) > NEUTRAL_M and (way_m > MOVED_M or not in_gear):
+        self._in_vain = 0 if way_m > MOVED_M else self._in_vain + 1
+        if not in_gear and self._in_vain > MOST_IN_VAIN:
+            self.withstood.pop((direction, in_gear), None)
+        elif abs(from_m) > NEUTRAL_M and (way_m > MOVED_M or not in_gear):
             push = Push(own[1].time_us - own[0].time_us, abs(from_m))
             self.withstood[direction, in_gear] = push
 

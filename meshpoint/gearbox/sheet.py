@@ -146,6 +146,12 @@ class DogTeeth:
         """Width of the gap: a gear tooth is in it where |phase| < backlash / 2."""
         return self.backlash_share * self.pitch_rad
 
+    @property
+    def free_rad(self) -> float:
+        """A gear that has turned against its sleeve by more than this has no tooth in a gap: by
+        half a tooth's width more than all backlash, which is for what the angle may be wrong by."""
+        return 0.5 * (self.pitch_rad + self.backlash_rad)
+
 
 @dataclass(frozen=True)
 class Wheel:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 from loop_bench import Loop
 
+from meshpoint.controller.core.core import ControllerCore
 from meshpoint.dbc.messages import (
     ClutchAction,
     ClutchCommand,
@@ -21,10 +22,12 @@ from meshpoint.dbc.messages import (
     FaultCode,
     RigFault,
     ShiftResult,
+    SleevesMain,
     ValveCommand,
 )
-from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.gearbox import Sleeve, load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+from meshpoint.rig_sim.settings import Preset, Profile
 
 TRUCK12 = load_sheet("truck12")
 State, Fault, Code, Result = ControllerState, RigFault, FaultCode, ShiftResult
@@ -76,7 +79,7 @@ a tooth missing            | 8-10 | synchronising  | hall_missing_tooth 2 3 | in
 every edge twice           | 8-10 | synchronising  | hall_double_edge 2   | neutral speed_stale neutral
 edge frames frozen         | 8-10 | synchronising  | frozen_payload 0     | neutral speed_stale neutral
 slow sensors frozen        | 8-10 | in_gear        | frozen_payload 1     | old clutch_stuck in_gear
-position frozen in gear    | 8-10 | in_gear        | position_frozen 0    | old disengage_failed in_gear
+position frozen in gear    | 8-10 | in_gear        | position_frozen 0    | between position_stale faulted
 position frozen in neutral | 8-10 | coasting       | position_frozen 0    | neutral engage_failed neutral
 position lies by 3 mm      | 8-10 | clutch_opening | position_offset 0 3  | in none in_gear
 the other position lies    | 8-10 | synchronising  | position_offset 1 3  | between disengage_failed faulted
@@ -138,12 +141,12 @@ def struck(case: Case) -> Loop:
 TWINS = (
     "valve slow", "valve that pulls out stuck", "jammed in gear", "jammed for a while",
     "splitter stuck, all move", "splitter jammed", "range valve stuck", "layshaft sensor, falling",
-    "main sensor, braking", "layshaft sensor, raising", "position frozen in gear", "no brake",
+    "main sensor, braking", "layshaft sensor, raising", "no brake",
 )  # fmt: skip
 """Their kind of fault strikes in another line too; these by `make long`."""
 QUICK = (
     "clutch stuck closed", "air lost in mid-shift", "splitter valve stuck", "every edge twice",
-    "layshaft sensor, braking",
+    "layshaft sensor, braking", "position frozen in gear",
 )  # fmt: skip
 """One of each part of the gearbox; the others by `make check`."""
 
@@ -170,6 +173,78 @@ def test_a_shift_that_meets_a_fault_ends_declared_and_safe(case: Case) -> None:
     loop.run(loop.time.now_us + 200_000)
     assert loop.status.state is case.rests_in  # it does not hunt
     assert len(loop.outcomes) == 1
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("pair", [(8, 10), (10, 12), (10, 8), (1, 3), (5, 3), (6, 8)])
+def test_a_frozen_sensor_throws_no_sleeve_onto_the_opposite_gear(
+    pair: tuple[int, int], seed: int
+) -> None:
+    """Gearboxes of `harsh`, whose main shaft swings along with a gear that has come out unseen. Red
+    before, all of them: pulled again, the sleeve went from neutral to the opposite gear."""
+    loop = Loop(
+        [(REQUEST_US, pair[1])], sheet=TRUCK12, preset=Preset.TRUCK, profile=Profile.HARSH,
+        start_gear=pair[0], toward=pair[1], seed=seed,
+    )  # fmt: skip
+    loop.run_to_state(State.IN_GEAR, PATIENCE_US)
+    sleeve = SLEEVE_OF_MAIN[DRIVE_GEARS[pair[0]].main].sleeve
+    loop.fault(Fault.POSITION_FROZEN, [Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD].index(sleeve))
+    assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
+    assert loop.outcomes[0].fault is Code.POSITION_STALE
+    assert loop.violations == 0
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("stuck_mm", [10.5, 8.0])
+@pytest.mark.parametrize("pair", [(8, 10), (10, 12), (3, 5)])
+def test_a_sensor_that_freezes_as_a_gear_comes_out_throws_no_sleeve(
+    pair: tuple[int, int], stuck_mm: float
+) -> None:
+    """Red before in four of six: pushed on from there by ever more, the sleeve went from neutral to
+    the opposite gear."""
+    loop = Loop(
+        [(REQUEST_US, pair[1])], sheet=TRUCK12, preset=Preset.TRUCK, profile=Profile.HARSH,
+        start_gear=pair[0], toward=pair[1], seed=4,
+    )  # fmt: skip
+    loop.run_to_state(State.DISENGAGING, PATIENCE_US)
+    assert loop.until(
+        lambda: 1e3 * abs(loop.last(SleevesMain).sleeve_first_second_m[0]) < stuck_mm, PATIENCE_US
+    )
+    loop.fault(Fault.POSITION_FROZEN, 0)
+    assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
+    loop.run(loop.time.now_us + 3_000_000)
+    assert loop.status.state is State.FAULTED
+    assert loop.violations == 0
+
+
+@pytest.mark.check
+def test_once_a_frozen_sensor_moves_again_the_gearbox_shifts() -> None:
+    """The clutch stays open as long as it shows a gear that turns against its sleeve."""
+    case = next(case for case in CASES if case.name == "position frozen in gear")
+    loop = struck(case._replace(for_ms=2_000))
+    loop.run(2_000_000)
+    assert loop.last(ClutchCommand).action is ClutchAction.OPEN
+    loop.run(3_000_000)
+    assert loop.status.state is State.NEUTRAL
+    loop.operator.ask(case.shift[1], loop.time.now_us)
+    assert loop.until(lambda: len(loop.outcomes) == 2, PATIENCE_US)
+    assert loop.outcomes[1].result is Result.ENGAGED
+    assert loop.violations == 0
+
+
+@pytest.mark.check
+def test_a_gear_that_all_wheels_deny_is_not_pulled() -> None:
+    """Another controller finds a sensor that lies. Red before: it pulled, out of neutral."""
+    loop = struck(next(case for case in CASES if case.name == "position frozen in gear"))
+    loop.controller.core = ControllerCore(loop.header)
+    loop.run(loop.time.now_us + 3_000_000)
+    assert loop.status.state is State.IN_GEAR
+    loop.operator.ask(10, loop.time.now_us)
+    loop.run(loop.time.now_us + 1_000_000)
+    assert loop.events[-1].endswith("refused: position_stale before it began")
+    assert loop.status.active_fault is Code.POSITION_STALE
+    assert loop.status.state is State.IN_GEAR
 
 
 @pytest.mark.parametrize("channel", [2, 4])

@@ -55,6 +55,8 @@ PUSHED: Final = {
 }
 MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 STROKE_M, CONTACT_M = SHEET.sleeve.stroke_m, SHEET.sleeve.to_contact_m
+OIL_NM: Final = 16.0
+"""Drag at the layshaft."""
 PUSH_M_S2: Final = 2.0 * CONTACT_M / (SHEET.sleeve.delay_s - 1e-3 * DELAY_MS) ** 2
 """Of splitter and range."""
 LEARNED_SHARE: Final = 0.3
@@ -90,6 +92,8 @@ class Box:
     supply_pa: float = 9.5e5
     is_self_tested: bool = True
     hears_propeller: bool = True
+    drag_nm: float = 0.0
+    """At the layshaft, as the sequence knows it."""
 
     def __post_init__(self) -> None:
         gear = DRIVE_GEARS[self.gear]
@@ -276,7 +280,7 @@ class Box:
         law = first_order_law(1.0 / SHEET.brake.time_constant_s, SHEET.air.supply_gauge_pa)
         free = self.mesh is MainGear.NEUTRAL and self.clutch < 0.3
         tracker: Any = SimpleNamespace(
-            free=free, latest=lambda: state, at=lambda _: state, drag_nm=lambda _: 0.0,
+            free=free, latest=lambda: state, at=lambda _: state, drag_nm=lambda _: self.drag_nm,
             model=free_motion(SHEET, self.split, law, self.settings.crossing_filter),
         )  # fmt: skip
         main = ShaftState(self.now_us, self.theta_main, self.main, 1e-4, 0.01)

@@ -293,4 +293,4 @@ def test_what_the_guard_sees_before_it_has_heard_of_engine_clutch_or_request() -
     seen = GuardInputs(1, (0.0,) * 4, 0.0, 0.0, 0.0, (None,) * 4, 0, True)
     rest: Any = seen[8:]
     assert rest == (None, None, 0, 0, (0.0, 0.0), 0, None, 0.0, 0, False, True, (), (None, None),
-                    (0.0, 0.0))  # fmt: skip
+                    (0.0, 0.0), None, False)  # fmt: skip

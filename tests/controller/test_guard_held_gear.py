@@ -1,4 +1,5 @@
-"""Row 13: a gear that was seen to turn with its sleeve is held until it has turned free."""
+"""Row 13: a gear that was seen to turn with its sleeve is held until it has turned free; one that
+was pulled and is still measured in is denied once it has."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ import math
 
 import pytest
 
-from meshpoint.controller.guard.held_gear import HeldGear, Shaft
+from meshpoint.controller.guard.held_gear import HeldGear, PulledGear, Shaft, gear_angle_rad
 from meshpoint.controller.guard.limits import MainValve
 from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
 
@@ -100,3 +101,91 @@ def test_with_another_clock_nothing_is_held() -> None:
     gear = held()
     gear.forget()
     assert gear.take(0, NEUTRAL, shaft(200), shaft(100)) == 0
+
+
+FREE_RAD = math.radians(4.5)
+
+
+def pulled(angle_rad: float | None = 1.0) -> PulledGear:
+    gear = PulledGear()
+    gear.pull(START_US, angle_rad)
+    return gear
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_pulled_gear_that_turns_by_more_than_its_backlash_is_denied(sign: float) -> None:
+    gear = pulled()
+    gear.stands(START_US + 50_000, 1.0 + sign * (FREE_RAD - 1e-9), FREE_RAD)
+    assert not gear.is_denied
+    gear.stands(START_US + 60_000, 1.0 + sign * (FREE_RAD + 1e-9), FREE_RAD)
+    assert gear.is_denied
+
+
+def test_it_counts_from_its_first_pull() -> None:
+    gear = pulled()
+    gear.pull(START_US + 200_000, 1.0 + 0.9 * FREE_RAD)
+    gear.stands(START_US + 300_000, 1.0 + 1.1 * FREE_RAD, FREE_RAD)
+    assert gear.is_denied
+
+
+def test_a_gear_that_nothing_has_pulled_is_not_denied() -> None:
+    for gear in (PulledGear(), pulled(None)):
+        for at_ms in (0, 100):
+            gear.stands(START_US + 1_000 * at_ms, 0.01 * at_ms, FREE_RAD)
+        assert not gear.is_denied
+
+
+def test_a_second_after_its_pull_a_gear_in_mesh_is_looked_at_no_more() -> None:
+    """A wheel that counts wrong for once would deny it."""
+    for after_us, is_denied in ((1_000_000, True), (1_000_001, False)):
+        gear = pulled()
+        gear.stands(START_US + after_us, 1.0, FREE_RAD)
+        gear.stands(START_US + 1_100_000, 2.0, FREE_RAD)
+        assert gear.is_denied is is_denied
+
+
+def test_a_denied_gear_is_believed_once_it_has_turned_with_its_sleeve_for_a_second() -> None:
+    gear = pulled()
+    gear.stands(START_US, 2.0, FREE_RAD)
+    gear.stands(START_US + 900_000, 2.1, FREE_RAD)
+    gear.stands(START_US + 1_900_000, 2.1, FREE_RAD)
+    assert gear.is_denied
+    gear.stands(START_US + 1_900_001, 2.1, FREE_RAD)
+    assert not gear.is_denied
+
+
+def test_a_denied_gear_stays_so_by_another_clock_and_while_no_teeth_are_counted() -> None:
+    gear = pulled()
+    gear.stands(START_US, 2.0, FREE_RAD)
+    gear.restart()
+    gear.stands(7_000, None, FREE_RAD)
+    gear.stands(8_000, 5.0, FREE_RAD)
+    gear.stands(1_008_000, 5.0, FREE_RAD)
+    assert gear.is_denied
+    gear.stands(1_008_001, 5.0, FREE_RAD)
+    assert not gear.is_denied
+
+
+def test_teeth_that_are_counted_anew_deny_no_gear() -> None:
+    gear = pulled()
+    gear.restart()
+    gear.stands(7_000, 5.0, FREE_RAD)
+    assert not gear.is_denied
+
+
+def test_a_sleeve_measured_elsewhere_ends_it() -> None:
+    gear = pulled()
+    gear.stands(START_US, 2.0, FREE_RAD)
+    gear.forget()
+    assert not gear.is_denied
+    gear.stands(START_US + 10_000, 3.0, FREE_RAD)
+    assert not gear.is_denied
+
+
+def test_the_angle_of_a_gear_is_by_its_ratio_and_the_newest_edge_of_both() -> None:
+    """A turn a second: an edge an eighth of a second old is an eighth of a turn on."""
+    late = shaft(49, late_us=125_000)
+    assert gear_angle_rad(0.5, shaft(98), shaft(49)) == pytest.approx(0.0)
+    assert gear_angle_rad(0.5, late, shaft(49)) == pytest.approx(math.tau * (0.5625 - 1.0))
+    assert gear_angle_rad(0.5, shaft(98), late) == pytest.approx(-math.tau * 0.125)
+    assert gear_angle_rad(0.5, Shaft(None, None, TEETH), late) is None

@@ -58,6 +58,8 @@ BY_HAND: dict[str, Any] = {
     "valve_on_us": 3_000_000,
     "supply_low_pa": 500_000.0,
     "engaged_m": 0.011,
+    "in_mesh_m": 0.0062,  # 5 mm, and an overlap of 1.0 +- 0.2
+    "free_rad": math.radians(4.5),  # half of 7.5 and a fifth of them
     "plate_slip_rad_s": 78.59972466647235,  # the step from crawl to first, 1.455
     "clutch_travel_us": 300_000,
     "torque_away_us": 2_850_000,  # 2 + 0.25 + 0.6 s

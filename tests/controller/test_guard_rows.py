@@ -67,6 +67,15 @@ FORBIDDEN: Final = {
 DRIVELINE: Final = (14, 15, 16)
 
 
+@pytest.mark.parametrize("is_wrong", [False, True])
+def test_row_13_forbids_to_pull_a_gear_that_the_wheels_say_is_not_in(is_wrong: bool) -> None:
+    seen = place(NEUTRAL, 0, -0.012)._replace(gear_is_wrong=is_wrong)
+    guard = ready()
+    assert guard.passes(payload(*SECOND, at_us=NOW), seen) is not is_wrong
+    assert guard.blocked_row == (13 if is_wrong else None)
+    assert guard.gear_is_denied is is_wrong
+
+
 def test_there_is_a_command_for_each_row() -> None:
     assert {*FORBIDDEN, *DRIVELINE} == {
         row.number for row in (*GUARD_ROWS, *CLUTCH_ROWS, *ENGINE_ROWS)

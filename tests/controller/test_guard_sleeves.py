@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from guard_cases import LIMITS, NOW, SETTINGS, SHEET, place, ready
+from guard_cases import LIMITS, NOW, SETTINGS, SHEET, kept, place, ready
 from guard_sleeve_cases import (
     BRAKE,
     CRAWL,
@@ -28,6 +28,7 @@ from guard_sleeve_cases import (
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, guard_limits
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.sleeve_motion import contact_between_us, longest_pulse_us
+from meshpoint.controller.guard.view import GuardInputs
 
 # -- braked in flight ------------------------------------------------------------------------
 
@@ -239,6 +240,53 @@ def test_pulls_in_a_row_count_as_one_until_the_sleeve_is_seen_to_stand() -> None
     assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 2.0)}) is None
     assert row(guard, at(8, 12.0), {FIRST: (OFF_AT, 12.0)}) is None
     assert row(guard, at(13, 12.0), {FIRST: (ON_AT, 14.0)}) == 3
+
+
+DRAG_RAD_S2 = 30.0
+"""By so much a gear that is out falls behind its sleeve."""
+
+
+def pulled_again(rests_mm: float = 12.0, drag_rad_s2: float = DRAG_RAD_S2, speed_m_s: float = 0.0,
+                 after_ms: float = 130.0) -> int | None:  # fmt: skip
+    """The row that forbids a second pull out of second gear, by first's valve, so long after the
+    first one, which has ended at 25 ms and taken it out then: so its sensor shows, or its teeth."""
+    guard = ready()
+
+    def seen(ms: float, way_mm: float, speed_m_s: float = 0.0) -> GuardInputs:
+        free_s = 1e-3 * max(0.0, ms - 25.0)
+        return at(ms, way_mm, speed_m_s)._replace(gear_rad=7.0 - 0.5 * drag_rad_s2 * free_s**2)
+
+    assert row(guard, seen(3, 12.0), {FIRST: (ON_AT, 5.0)}) is None
+    assert row(guard, seen(15, 12.0), {FIRST: (OFF_AT, 25.0)}) is None
+    for ms in range(30, 25 + round(after_ms), 10):
+        assert row(guard, seen(ms, rests_mm, speed_m_s)) is None
+    again = seen(25 + after_ms, rests_mm, speed_m_s)
+    return row(guard, again, {FIRST: (ON_AT, 30.0 + after_ms)})
+
+
+def test_a_gear_that_was_pulled_and_turns_free_is_not_pulled_again() -> None:
+    """30 rad/s2 turn it by 4.5 degrees in 72 ms. Red before: whatever the shafts did, a gear
+    measured in was pulled by 4 ms more each time, and its sleeve went on to the other gear."""
+    assert pulled_again() == 13
+    assert pulled_again(after_ms=60.0) is None
+    assert pulled_again(drag_rad_s2=0.0) is None
+
+
+def test_it_is_denied_as_it_stands_in_its_gear_by_its_sensor_alone() -> None:
+    """One that moves is on its way out, and one that has moved out and back is none that sticks."""
+    assert pulled_again(rests_mm=6.2) != 13
+    assert pulled_again(rests_mm=6.21) == 13
+    assert pulled_again(speed_m_s=0.06) != 13
+
+
+def test_a_sleeve_whose_gear_is_denied_is_not_driven_until_it_is_measured_elsewhere() -> None:
+    for valve in (FIRST, SECOND):
+        guard = ready()
+        kept(guard).pulled[0].pull(NOW - 100_000, 1.0)
+        assert row(guard, at(0, 12.0)._replace(gear_rad=2.0), {valve: (ON_AT, 5.0)}) == 13
+        assert guard.gear_is_denied
+        assert row(guard, at(10, 0.0)._replace(gear_rad=None)) is None
+        assert not guard.gear_is_denied
 
 
 def test_a_gear_whose_slip_is_in_its_window_may_be_fired_out_of_another_one() -> None:

@@ -256,10 +256,25 @@ def test_a_gear_that_is_shown_but_not_in_accuses_no_wheel() -> None:
     box.speeds[MAIN] *= 0.8
     box.speeds[PROPELLER] *= 0.8
     box.run(1_000)
+    assert not box.watch.denies_gear
     box.positions_m = SECOND_HIGH_LOW
     assert all(box.step() == () for _ in range(500))
+    assert box.watch.denies_gear
     box.positions_m = NEUTRAL
     assert all(box.step() == () for _ in range(500))
+    assert not box.watch.denies_gear
+
+
+@pytest.mark.parametrize("wheel", SHAFTS)
+def test_a_wheel_that_reads_wrong_denies_no_gear(wheel: int) -> None:
+    """At whatever moment it goes wrong and for how long, nor is one denied that is in."""
+    for sound_ms, wrong_ms in ((1_000, 3_000), (1_130, 400), (1_370, 150)):
+        box = Gearbox()
+        for factor, for_ms in ((1.0, sound_ms), (0.8, wrong_ms), (1.0, 3_000)):
+            box.factors[wheel] = factor
+            for _ in range(for_ms // 10):
+                box.step()
+                assert not box.watch.denies_gear
 
 
 def test_where_no_other_wheel_is_heard_both_of_a_gear_are_in_doubt() -> None:

@@ -12,6 +12,7 @@ from shift_box import (
     DOWN,
     FAST_UP,
     FIRST_SECOND,
+    OIL_NM,
     SHEET,
     SPLIT,
     STROKE_M,
@@ -35,7 +36,11 @@ def silent_clutch(box: Box) -> None:
 
 
 def stuck(*sleeves: Sleeve) -> Callable[[Box], None]:
-    return lambda box: box.stuck.update(sleeves)
+    def breaks(box: Box) -> None:
+        box.stuck.update(sleeves)
+        box.drag_nm = OIL_NM
+
+    return breaks
 
 
 def weak(box: Box) -> None:
@@ -48,7 +53,7 @@ def without_air(box: Box) -> None:
 
 BROKEN: Final = [
     (UP, silent_clutch, FaultCode.CLUTCH_STUCK, ShiftResult.ENDED_IN_OLD_GEAR, 0.6),
-    (UP, stuck(FIRST_SECOND), FaultCode.DISENGAGE_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 0.5),
+    (UP, stuck(FIRST_SECOND), FaultCode.DISENGAGE_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 0.8),
     (SPLIT, stuck(Sleeve.SPLITTER), FaultCode.SPLITTER_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 1.6),
     ((6, 110.0, 7), stuck(Sleeve.RANGE), FaultCode.RANGE_FAILED, ShiftResult.ENDED_IN_NEUTRAL, 1.7),
     ((6, 110.0, 7), stuck(Sleeve.SPLITTER), FaultCode.SPLITTER_FAILED,
