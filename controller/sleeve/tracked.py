@@ -94,7 +94,7 @@ class TrackedSleeve(DrivenSleeve):
         """By direction, and whether out of a gear: the last push towards neutral that did not throw
         it through."""
         self._in_vain = 0
-        """So many pushes in a row have left it where it stood, by its sensor."""
+        """How many pushes in a row have left it where it stood, by its sensor."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
