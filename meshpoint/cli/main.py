@@ -40,7 +40,9 @@ def run_parsed(parse: Callable[[], argparse.Namespace]) -> int:
             with uncollected():  # what is loaded stays
                 namespace = parse()
         except KeyboardInterrupt:
-            sys.stderr.write("interrupted\n")
+            from meshpoint.results.output import complain
+
+            complain("interrupted")
             return Exit.INTERRUPTED
         from meshpoint.bench.compiling import Progress
 
