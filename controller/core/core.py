@@ -233,7 +233,8 @@ class ControllerCore:
             snapshot, consumed = self._take_and_decide(now_us, events)
         frames = self._commands(now_us, snapshot, events)
         sequence = self._sequence
-        self._observer.take_commands(sequence.brake, sequence.take_mesh_changes())
+        changes, is_shifting = sequence.take_mesh_changes(), sequence.shift is not None
+        self._observer.take_commands(sequence.brake, changes, is_shifting)
         if snapshot.takes_in:
             self._observer.learn(events)
         frames += self._reporter.frames(self._transmitter, snapshot)

@@ -20,6 +20,7 @@ import numpy as np
 
 from meshpoint.controller.estimate.figures import Figure
 from meshpoint.controller.estimate.loaded_driveline import DrivelineMotion, Shafts
+from meshpoint.controller.estimate.wheel_tracker import STRUCK_RAD_S
 from meshpoint.controller.models.backlash import (
     ANGLE,
     DRAG,
@@ -47,7 +48,8 @@ PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
 PARTICLES: Final = 2500
 """Number of drivelines in a cloud."""
 AROUND: Final = 1.15
-"""The first cloud lies within the backlash and this much of its half beyond: flanks give way."""
+"""The first cloud lies within the backlash and this much of its half beyond, and as far as its
+swing goes: flanks give way."""
 PRESSED_SDS: Final = 2.0
 """In gear, a flank was pressed on where the twist was beyond it by this many standard
 deviations."""
@@ -122,14 +124,23 @@ class LashStart(NamedTuple):
     hill_rad_s2: float = 0.0
     """The vehicle's acceleration, at the main shaft."""
     vehicle_root: Vector | None = None
-    """A root of the covariance of the vehicle's speed and acceleration, (2, 2); None: as the sheet
-    says."""
+    """A root of the covariance of the vehicle's speed and acceleration, (2, 2), as known from
+    before; None: as the sheet says."""
     behind: DrivelineMotion | None = None
     """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
 
+    @property
+    def swing_rad_s(self) -> float:
+        """How fast the shaft swings against the vehicle, wherever in its swing it is now: since the
+        vehicle became known a synchroniser or a tooth has struck it. Out of a gear it hardly does.
+        """
+        if self.vehicle_root is None:
+            return 0.0
+        return math.hypot(self.speed_rad_s - self.vehicle_rad_s, STRUCK_RAD_S)
+
 
 class VehicleTrajectory(NamedTuple):
-    """What was known of the vehicle at a time, at the main shaft."""
+    """What was known of the vehicle at a time, at the main shaft or the propeller shaft."""
 
     time_us: float
     speed_rad_s: float
@@ -143,6 +154,11 @@ class VehicleTrajectory(NamedTuple):
         moves = np.array(((1.0, wait_s), (0.0, 1.0)))
         speed, hill = self.speed_rad_s + wait_s * self.hill_rad_s2, self.hill_rad_s2
         return VehicleTrajectory(time_us, speed, hill, moves @ self.covariance @ moves.T)
+
+    def through(self, ratio: float) -> VehicleTrajectory:
+        """The same at a shaft that turns `ratio` times as fast."""
+        speed, hill = ratio * self.speed_rad_s, ratio * self.hill_rad_s2
+        return VehicleTrajectory(self.time_us, speed, hill, ratio * ratio * self.covariance)
 
 
 class LashFigures(NamedTuple):
@@ -215,13 +231,16 @@ class Lash:
         root = np.diag(self.vehicle_sds) if start.vehicle_root is None else start.vehicle_root
         off_speed, off_hill = root @ sure[2:4]
         x[VEHICLE], x[HILL] = start.vehicle_rad_s + off_speed, start.hill_rad_s2 + off_hill
-        x[WHEELS] = x[VEHICLE] + axle.wheels_start_rad_s * sure[4]
-        x[TYRE] = axle.wheels_start_rad_s / math.sqrt(self._tyre_per_s2) * sure[5]
+        swing_rad_s = start.swing_rad_s
+        wheels_sd = math.hypot(axle.wheels_start_rad_s, self._share * swing_rad_s)
+        x[WHEELS] = x[VEHICLE] + wheels_sd * sure[4]
+        x[TYRE] = wheels_sd / math.sqrt(self._tyre_per_s2) * sure[5]
         x[STIFF] = np.exp(known.stiff.log + known.stiff.sd * sure[6])
         x[LOSS] = np.exp(known.loss.log + known.loss.sd * sure[7])
         x[DRAG] = np.maximum(np.exp(known.drag.log + known.drag.sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
-        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * even(PARTICLES)[1]) * x[HALF]
+        around = AROUND * x[HALF] + swing_rad_s / np.sqrt(x[STIFF])
+        x[WAY] = x[HALF] + (2.0 * even(PARTICLES)[1] - 1.0) * around
         if start.behind is not None:
             self._follow_on(x, start.behind)
         return x
@@ -274,6 +293,7 @@ class StartWatch:
         self._since_us = 0.0
         self._behind: DrivelineMotion | None = None
         self._vehicle: VehicleTrajectory | None = None
+        """At the propeller shaft."""
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
 
@@ -290,9 +310,9 @@ class StartWatch:
         self._since_us, self._behind = since_us, behind
         self.waiting = np.empty((2, 0))
 
-    def take_out(self, edges: Vector, vehicle_sds: tuple[float, float]) -> LashStart | None:
-        """New edges since then; the start once they are enough. vehicle_sds: what is not known of
-        the vehicle's speed (rad/s) and acceleration (rad/s2)."""
+    def take_out(self, edges: Vector, lash: Lash) -> LashStart | None:
+        """New edges since then; the start once they are enough. lash: the driveline in the range
+        that is in."""
         after = edges[:, edges[0] > self._since_us]
         self.waiting = np.concatenate((self.waiting, after), axis=1)
         if self.waiting.shape[1] < FIRST_EDGES:
@@ -301,8 +321,8 @@ class StartWatch:
         speed, angle = np.polyfit(waits, self.waiting[1], 1).tolist()
         kept, self._vehicle = self._vehicle, None
         start = LashStart(self._since_us, angle, speed, speed, behind=self._behind)
-        if kept is not None and self._since_us - kept.time_us < KEPT_US:
-            return _kept(start, kept, vehicle_sds)
+        if kept is not None and 0.0 <= self._since_us - kept.time_us < KEPT_US:
+            return _kept(start, kept.through(1.0 / lash.ratio), lash.vehicle_sds)
         return start
 
 

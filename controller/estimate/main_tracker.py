@@ -1,6 +1,6 @@
 """The main shaft by the crossing-time filter, on a driveline that swings.
 
-While the main box is in neutral and the clutch open it turns with the vehicle alone. It then swings
+While the main box is in neutral and the range in, it turns with the vehicle alone. It then swings
 with its driveline as was learned from earlier shifts, by one of two models: linear
 (`models/swing`), or with the driveline's backlash (`models/backlash`), whichever has predicted
 better. With a gear in mesh its acceleration is unknown.
@@ -228,7 +228,7 @@ class MainTracker(WheelTracker[SwingLesson]):
         if not rivals.lash_is_candidate:
             return
         if self._cloud is None:
-            start = before.take_out(edges, lash.vehicle_sds)
+            start = before.take_out(edges, lash)
             if start is None:
                 return
             self._cloud, edges = (
@@ -292,6 +292,10 @@ class MainTracker(WheelTracker[SwingLesson]):
         super().lose_speed()
         self._free = False
         self._let_cloud_go()
+
+    def restart(self) -> None:
+        """Tooth numbers were lost: neither they nor what was known of the vehicle hold."""
+        super().restart()
         self._before.lose()
 
     def set_free(
@@ -351,9 +355,12 @@ class MainTracker(WheelTracker[SwingLesson]):
         cloud, rivals = self._cloud, self._rivals[self._range]
         rivals.end()
         self._let_cloud_go()
-        if cloud is not None and cloud.is_alive and rivals.lash_is_selected:
-            self._lashes[self._range].learn(cloud.log_figure)
-            self._before.take_vehicle(cloud.vehicle)
+        if cloud is None or not cloud.is_alive:
+            return
+        lash = self._lashes[self._range]
+        self._before.take_vehicle(cloud.vehicle.through(lash.ratio))
+        if rivals.lash_is_selected:
+            lash.learn(cloud.log_figure)
 
     def _let_cloud_go(self) -> None:
         self._cloud, self._trajectory = None, (0.0, None)

@@ -110,6 +110,7 @@ class Observer:
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
+        self._main_free = self._is_shifting = False
         self._locked = LockedGear(sheet, self.references, self.recovery)
 
     def take_brake(self, record: BrakeRecord) -> None:
@@ -366,7 +367,16 @@ class Observer:
         self.layshaft.set_free(free, newest.time_us, events)
         if self._learners is not None:
             _, main = self._learners
-            main.set_free(free, view.range_, events, view.oldest_us, self.loaded)
+            self._main_free = free or self._main_stays_free
+            main.set_free(self._main_free, view.range_, events, view.oldest_us, self.loaded)
+
+    @property
+    def _main_stays_free(self) -> bool:
+        """Whether the main shaft, left to itself in this shift, still is: by main box and range.
+        What clutch and splitter do with the layshaft, as it is raised, does not concern it."""
+        view = self.view
+        is_apart = view.main_box_free and view.range_ is not None and not self._main_dragged
+        return self._main_free and self._is_shifting and is_apart
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""
@@ -384,9 +394,12 @@ class Observer:
         learned."""
         return self.brake_input.off_delay_us, self.brake_input.on_delay_us
 
-    def take_commands(self, brake: BrakeInput, changes: list[MeshChange]) -> None:
-        """What a step has commanded of the brake's valve, and which gear comes into mesh or leaves
-        it."""
+    def take_commands(
+        self, brake: BrakeInput, changes: list[MeshChange], is_shifting: bool
+    ) -> None:
+        """What a step has commanded of the brake's valve, which gear comes into mesh or leaves it,
+        and whether a shift is under way."""
+        self._is_shifting = is_shifting
         self.brake_input.follow(brake)
         for change in changes:
             self.references.take(change)

@@ -98,7 +98,7 @@ class ReplayEstimator:
 
     def _learn_from(self, first: ShiftSequence, now_us: int) -> None:
         """The first controller's valve commands and its lock."""
-        self.observer.take_commands(first.brake, [])
+        self.observer.take_commands(first.brake, [], first.shift is not None)
         first.board.publish_to(self.sleeves, now_us)
         watched = first.references.watched
         if watched is not None and watched is not self._watched:

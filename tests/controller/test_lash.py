@@ -55,7 +55,6 @@ from meshpoint.kernels.records import Vector
 
 AXLE, RATIO, EDGE_RAD = Axle(), 0.27, math.pi / 45.0
 BACKLASH = Driveline()
-VEHICLE_SDS = (AXLE.vehicle_start_rad_s, AXLE.vehicle_rad_s2 / RATIO)
 HALF_GAP_RAD = math.radians(0.95)
 MODEL = LashModel(wheels_share=0.25, tyre_per_s=4.0, fading_per_s=17.0)
 
@@ -326,18 +325,49 @@ def test_a_cloud_begins_where_the_driveline_was_found_in_gear(
         assert 0.5 < found.mean() < 0.75
 
 
+def started(watch: StartWatch, since_us: float, ratio: float) -> LashStart:
+    """A window in neutral, the main shaft at 61 rad/s."""
+    lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, ratio)
+    later = 1e3 * np.arange(1, 20)
+    watch.released(since_us)
+    start = watch.take_out(np.array((since_us + later, 24.0 + 61e-6 * later)), lash)
+    assert start is not None
+    assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
+    return start
+
+
 def test_a_window_soon_after_another_starts_from_how_the_vehicle_went_in_that() -> None:
     """Within 0.4 s; later, and at first, the vehicle is as fast as the shaft comes out."""
     watch = StartWatch()
-    later = 1e3 * np.arange(1, 20)
     for since_us, vehicle_rad_s in ((400e3, 61.0), (600e3, 58.6), (800e3, 61.0), (1200e3, 61.0)):
-        watch.released(since_us)
-        start = watch.take_out(np.array((since_us + later, 24.0 + 61e-6 * later)), VEHICLE_SDS)
-        assert start is not None
-        assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
+        start = started(watch, since_us, 1.0)
         assert start.vehicle_rad_s == pytest.approx(vehicle_rad_s)
         if since_us != 600e3:
             watch.take_vehicle(VehicleTrajectory(500e3, 59.0, -4.0, np.diag((0.01, 1.0))))
+
+
+def test_after_the_range_the_vehicle_goes_on_as_before_it() -> None:
+    """Known at the propeller shaft: the main shaft turns otherwise, and swings."""
+    watch = StartWatch()
+    before = VehicleTrajectory(500e3, 59.0, -4.0, np.diag((0.01, 1.0)))
+    watch.take_vehicle(before.through(1.0))
+    start = started(watch, 600e3, RATIO)
+    assert start.vehicle_rad_s == pytest.approx(58.6 / RATIO)
+    assert start.hill_rad_s2 == pytest.approx(-4.0 / RATIO)
+    assert start.vehicle_root is not None
+    assert start.vehicle_root[0, 0] > math.sqrt(0.01) / RATIO
+
+
+def test_a_shaft_that_was_struck_may_lie_as_far_beyond_a_flank_as_it_swings() -> None:
+    """A synchroniser lets go of it pressed on a flank, or half a swing later: known is how fast it
+    is against the vehicle then, not where."""
+    lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
+    sds = np.diag((0.3, 1.0))
+    for off_rad_s in (0.0, 7.0):
+        x = lash.cloud(LashStart(0.0, 0.0, 220.0 - off_rad_s, 220.0, 0.0, sds))
+        beyond = (np.abs(x[WAY] - x[HALF]) - x[HALF]) * np.sqrt(x[STIFF])
+        assert np.quantile(beyond, 0.9) > 0.6 * math.hypot(off_rad_s, 5.0)
+        assert x[WHEELS].std() > 2.0 * AXLE.wheels_start_rad_s
 
 
 def test_a_first_cloud_lies_anywhere_in_the_backlash() -> None:
