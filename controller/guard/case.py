@@ -28,6 +28,7 @@ from meshpoint.controller.guard.sleeve_motion import (
     contact_between_us,
     longest_pulse_us,
 )
+from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
 
 ACTION_BYTES: Final = slice(3, 6)
@@ -38,8 +39,8 @@ _times_us: Final = struct.Struct(f"<{VALVE_COUNT}I").unpack_from
 _SHIFTS: Final = range(0, 2 * VALVE_COUNT, 2)
 MAIN_VALVES: Final = (3, 4, 5, 6)
 SLEEVE_VALVES: Final = range(1, 9)
-OTHER_OF_MAIN: Final = {3: 4, 4: 3, 5: 6, 6: 5}
-"""The valve that pushes a main sleeve the other way."""
+OTHER_OF_DOG: Final = {3: 4, 4: 3, 5: 6, 6: 5, 1: 2, 2: 1}
+"""The valve that pushes a sleeve with dog teeth the other way."""
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
 FOREVER_US: Final = 1 << 62
 CLUTCH_AHEAD_US: Final = 60_000
@@ -167,13 +168,13 @@ class JudgedCommand(NamedTuple):
     limits: GuardLimits
 
     def engaging(self) -> list[tuple[int, Span]]:
-        """Main valves whose sleeve may come to the teeth of a gear that it has not entered yet.
+        """Valves whose sleeve may come to the teeth of a gear that it has not entered yet.
 
         One that pulls a gear out counts only once its sleeve is past neutral, or where it pulls for
         so long that the sleeve may run through; a pulse that brakes a sleeve or brings it back to
         neutral only where it is not proven to stop short."""
         found = []
-        for valve in MAIN_VALVES:
+        for valve in self.limits.dogs:
             span, way_m = self.spans[valve], self.way_m(valve)
             if span is None or way_m > self.limits.contact_m:
                 continue
@@ -223,7 +224,7 @@ class JudgedCommand(NamedTuple):
         """Whether a sleeve that stands before the other gear's teeth is pushed towards neutral for
         longer than stops short also where its valve opens early and shuts late, and than it has
         withstood from there or from nearer neutral. Judged once the push's end is commanded."""
-        way_m, other = self.set_off_m(valve, span), OTHER_OF_MAIN[valve]
+        way_m, other = self.set_off_m(valve, span), OTHER_OF_DOG[valve]
         stands = self.last_drive(other) is None and self.spans[other] is None
         is_ended = span.end_us <= self.seen.now_us + self.limits.switch_again_us
         if not (stands and is_ended):
@@ -244,8 +245,8 @@ class JudgedCommand(NamedTuple):
         """For so long this valve may be on against the push of the other one, which was on for so
         much longer than this one and is off just now; 0 where there is none, or the sleeve is seen
         to move on toward this valve's gear."""
-        before, own = self.last_drive(OTHER_OF_MAIN[valve]), self.drive_before(valve)
-        gear = self.limits.main[valve]
+        before, own = self.last_drive(OTHER_OF_DOG[valve]), self.drive_before(valve)
+        gear = self.limits.dogs[valve]
         if (
             before is None
             or span.start_us - before.end_us > COUNTER_US
@@ -308,9 +309,9 @@ class JudgedCommand(NamedTuple):
         """Whether a main valve does nothing but brake its sleeve, or bring it to neutral from where
         it stands before the other gear's teeth."""
         span = self.spans[valve]
-        if span is None or valve not in OTHER_OF_MAIN or self.seen.agreeing:
+        if span is None or valve not in self.limits.dogs or self.seen.agreeing:
             return False
-        stands = not self.moves_on(self.limits.main[valve].sleeve)
+        stands = not self.moves_on(self.limits.dogs[valve].sleeve)
         is_before_teeth = -self.limits.contact_m <= self.way_m(valve) < -GUARD_NEUTRAL_M
         return self._stops_short(valve, span) and (
             self.brakes(valve) or (stands and is_before_teeth)
@@ -319,15 +320,14 @@ class JudgedCommand(NamedTuple):
     def brakes(self, valve: int) -> bool:
         """Whether a main valve works against what the other one of its sleeve has set going."""
         span = self.spans[valve]
-        return span is not None and valve in OTHER_OF_MAIN and self._brakes_us(valve, span) > 0.0
+        return span is not None and valve in self.limits.dogs and self._brakes_us(valve, span) > 0.0
 
     def pulling(self) -> frozenset[int]:
         """Main valves that pull a gear out: driven without a break since that gear was in mesh."""
         if self.spans is NO_SPANS:
             return NO_PULLS
-        return frozenset(
-            valve for valve in MAIN_VALVES if self.spans[valve] is not None and self._pulls(valve)
-        )
+        driven = [valve for valve in self.limits.dogs if self.spans[valve] is not None]
+        return frozenset(filter(self._pulls, driven))
 
     def _still_pulls(self, valve: int) -> bool:
         """Whether the air of a main valve that has pulled a gear out still acts: its coil has been
@@ -339,14 +339,14 @@ class JudgedCommand(NamedTuple):
 
     def way_m(self, valve: int) -> float:
         """Position of the valve's sleeve (m); positive toward the gear of this valve."""
-        gear = self.limits.main[valve]
+        gear = self.limits.dogs[valve]
         return self.seen.positions_m[gear.sleeve] * gear.direction
 
     def contact_us(self, valve: int, span: Span) -> tuple[float, float]:
         """Earliest and latest sensor time (us) at which a sleeve driven in this span meets its
         gear, from where it stands as it sets off. One that is not seen to stand since it was fired
         before may be anywhere up to where that can have brought it."""
-        limits, sleeve = self.limits, self.limits.main[valve].sleeve
+        limits, sleeve = self.limits, self.limits.dogs[valve].sleeve
         stands_m = farthest_m = self.set_off_m(valve, span)
         if any(drive.engages for drive in self.drives_before(sleeve)):
             farthest_m = limits.contact_m - (0.0 if self.moves_on(sleeve) else CLEAR_M)
@@ -389,6 +389,10 @@ class JudgedCommand(NamedTuple):
         speed = self.seen.speeds[shaft]
         return None if speed is None else speed.omega_rad_s
 
+    def swing(self, shaft: int) -> Swing | None:
+        """How a shaft's speed changes; None where that is not known."""
+        return self.seen.swings[(2, 0, 1)[shaft]]
+
     def starting(self) -> list[int]:
         """Sleeve valves that are newly driven."""
         was = self.state.spans
@@ -425,7 +429,7 @@ class JudgedCommand(NamedTuple):
             return False
         if abs(position) <= GUARD_NEUTRAL_M or self.stands_apart(sleeve):
             return True
-        pulled = any(limits.main[valve].sleeve == sleeve for valve in self.pulling()) or any(
+        pulled = any(limits.dogs[valve].sleeve == sleeve for valve in self.pulling()) or any(
             map(self._still_pulls, limits.valves_of(sleeve))
         )
         speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]

@@ -15,16 +15,18 @@ from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
 
 def slip_may_leave_its_window(case: JudgedCommand, valve: int, span: Span) -> bool:
     """Whether the slip at contact is outside its window as far as is known now. A swing or a
-    speed that is not known may do anything."""
+    speed that is not known may do anything. Layshaft and main shaft, or, of a splitter's sleeve,
+    input shaft and layshaft."""
     stops, last = is_last_stop(case, valve, span), is_last_call(case, valve, span)
     if not stops and not last:
         return False
-    layshaft, main = case.seen.swings
+    meeting = case.limits.dogs[valve].meeting
+    layshaft, main = case.swing(meeting.falls), case.swing(meeting.holds)
     if layshaft is None or main is None:
         return True
     early_us, late_us = case.contact_us(valve, span)
     # The main shaft goes on swinging as it has.
-    main_least, main_most = main.between(early_us, late_us)
+    main_least, main_most = (meeting.over * each for each in main.between(early_us, late_us))
     most = least = layshaft.newest.omega_rad_s
     if not last:
         # The newest speed is some hundredths of a second old: the layshaft has fallen on until now.
@@ -34,7 +36,7 @@ def slip_may_leave_its_window(case: JudgedCommand, valve: int, span: Span) -> bo
         # Once no brake acts any more, the layshaft falls as it does or not at all.
         ahead_s = max(0.0, late_us - layshaft.newest.time_us) * 1e-6
         least += min(0.0, layshaft.rate_rad_s2) * ahead_s
-    ratio, (low, high) = case.limits.main[valve].ratio, case.limits.slip_rad_s
+    ratio, (low, high) = meeting.by, case.limits.slip_rad_s
     return (
         ratio * most - main_least > high + SLIP_MARGIN_RAD_S
         or ratio * least - main_most < low - SLIP_MARGIN_RAD_S

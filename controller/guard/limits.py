@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
 
+SPLITTER: Final = 2
+"""The number of its sleeve."""
 GUARD_NEUTRAL_M: Final = 1.5e-3
 """A main sleeve within this of the middle is proven neutral."""
 GUARD_END_M: Final = 1.0e-3
@@ -37,12 +39,30 @@ SPEED_TOLERANCE: Final = 1.01
 
 
 class MainValve(NamedTuple):
-    """A valve of the main box: the sleeve it moves (0 first/second, 1 crawl/third), the direction
-    in which it pushes (-1 or +1), and i_gear of the gear on that side."""
+    """A valve of a sleeve with dog teeth: the sleeve it moves (0 first/second, 1 crawl/third, 2
+    splitter), the direction in which it pushes (-1 or +1), and the speed of the gear on that side
+    over that of the layshaft."""
 
     sleeve: int
     direction: int
     ratio: float
+
+    @property
+    def meeting(self) -> Meeting:
+        """Which shafts meet there: the one that slows down, and the one that another holds."""
+        if self.sleeve == SPLITTER:
+            return Meeting(0, 1.0, 1, self.ratio)
+        return Meeting(1, self.ratio, 2, 1.0)
+
+
+class Meeting(NamedTuple):
+    """Slip = by x the speed of the shaft that falls - over x that of the other. Shafts: 0 input, 1
+    layshaft, 2 main shaft."""
+
+    falls: int
+    by: float
+    holds: int
+    over: float
 
 
 MAIN_VALVE_OF_GEAR: Final = {
@@ -125,6 +145,24 @@ class GuardLimits:
     """A request is answered within this time, or no longer."""
     gear_at: dict[tuple[int, int, int], int]
     """The gear's number by its main valve and the sides of splitter and range sleeve."""
+    splitter: dict[int, MainValve] = field(default_factory=dict)
+    """The splitter's valves, where its sleeve has dog teeth."""
+    input_drag: tuple[float, float] = (0.0, 0.0)
+    """What `drag_rad_s2` and `drag_rate` are of an input shaft in no step."""
+
+    @property
+    def dogs(self) -> dict[int, MainValve]:
+        """The valves of all sleeves with dog teeth."""
+        return {**self.main, **self.splitter} if self.splitter else self.main
+
+    @property
+    def dog_sleeves(self) -> tuple[int, ...]:
+        """Those sleeves by number."""
+        return (0, 1, SPLITTER) if self.splitter else (0, 1)
+
+    def drag_of(self, shaft: int) -> tuple[float, float]:
+        """Upper bounds of a falling shaft's deceleration by drag: constant, and a rad/s."""
+        return (self.drag_rad_s2, self.drag_rate) if shaft else self.input_drag
 
     @property
     def valve_between_us(self) -> tuple[float, float]:
@@ -139,8 +177,8 @@ class GuardLimits:
         return self.contact_m - APART_M
 
     def valves_of(self, sleeve: int) -> tuple[int, ...]:
-        """The two valves of a main sleeve."""
-        return tuple(valve for valve, gear in self.main.items() if gear.sleeve == sleeve)
+        """The two valves of a sleeve with dog teeth."""
+        return tuple(valve for valve, gear in self.dogs.items() if gear.sleeve == sleeve)
 
     @property
     def are_sane(self) -> bool:
@@ -240,7 +278,7 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         tick_us=settings.timing.tick_us,
         closings=settings.limits.raises + 1,
         closing_again_us=(settings.limits.raise_ms + settings.limits.synchronise_ms) * 1000,
-        request_us=longest_shift_us(settings),
+        request_us=longest_shift_us(settings, sheet),
         gear_at={
             (
                 MAIN_VALVE_OF_GEAR[gear.main],
@@ -249,7 +287,21 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
             ): number
             for number, gear in DRIVE_GEARS.items()
         },
+        splitter=_splitter_valves(sheet),
+        input_drag=(
+            guard.drag_torque_nm / sheet.shafts.input_inertia_kgm2,
+            guard.torque_factor * sheet.shafts.friction_nms / sheet.shafts.input_inertia_kgm2,
+        ),
     )
+
+
+def _splitter_valves(sheet: GearboxSheet) -> dict[int, MainValve]:
+    if not sheet.has_dog_splitter:
+        return {}
+    return {
+        valve: MainValve(SPLITTER, side, 1.0 / sheet.split_mesh(split).ratio)
+        for valve, side, split in ((1, -1, Split.LOW), (2, 1, Split.HIGH))
+    }
 
 
 def _teeth_out_us(sheet: GearboxSheet) -> float:
@@ -293,7 +345,7 @@ def longest_ramp_ms(settings: ControllerSettings) -> int:
     return settings.engine.swing_ramp_ms + settings.engine.ramp_ms
 
 
-def longest_shift_us(settings: ControllerSettings) -> int:
+def longest_shift_us(settings: ControllerSettings, sheet: GearboxSheet) -> int:
     """No shift takes longer: every phase as long as its limit, every retry used."""
     limits = settings.limits
     raised_ms = limits.raise_ms + limits.clutch_ms + 2 * limits.synchronise_ms
@@ -304,4 +356,13 @@ def longest_shift_us(settings: ControllerSettings) -> int:
         + limits.steps_ms
         + (limits.raises + 1) * raised_ms
         + limits.attempts * tried_ms
+        + splitter_ms(settings, sheet)
     )
+
+
+def splitter_ms(settings: ControllerSettings, sheet: GearboxSheet) -> int:
+    """How long a change of a splitter with dog teeth may take, ms; 0 where it has none."""
+    limits = settings.limits
+    if not sheet.has_dog_splitter:
+        return 0
+    return limits.steps_ms + (limits.raises + 1) * (limits.raise_ms + limits.synchronise_ms)

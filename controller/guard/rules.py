@@ -75,8 +75,11 @@ def both_valves_of_a_sleeve(case: JudgedCommand) -> bool:
 
 def two_sleeves_of_the_main_box(case: JudgedCommand) -> bool:
     """Row 2: both commanded, or one commanded while the other is not proven neutral. One that goes
-    back to neutral may do so while the other stands before its teeth."""
+    back to neutral may do so while the other stands before its teeth. Nor is a splitter's sleeve
+    driven to dog teeth together with one of the main box: both hold the layshaft."""
     driven = {case.limits.main[v].sleeve: v for v in MAIN_VALVES if case.spans[v] is not None}
+    if driven and any(valve in case.limits.splitter for valve, _ in case.engaging()):
+        return True
     return any(
         1 - sleeve in driven
         or not (
@@ -100,15 +103,19 @@ def slip_out_of_its_window(case: JudgedCommand) -> bool:
 
 
 def _slip_can_fit(case: JudgedCommand, valve: int, span: Span) -> bool:
-    layshaft, main = case.seen.speeds[LAYSHAFT], case.seen.speeds[MAIN]
-    if layshaft is None or main is None:
+    falling, ratio, holding, over = case.limits.dogs[valve].meeting
+    falls, holds = case.seen.speeds[falling], case.seen.speeds[holding]
+    if falls is None or holds is None:
         return True  # row 4 forbids engaging at an unknown speed
-    limits, ratio = case.limits, case.limits.main[valve].ratio
+    limits = case.limits
     early_us, late_us = case.contact_us(valve, span)
-    slip = ratio * layshaft.omega_rad_s - main.omega_rad_s
-    least_s, most_s = _braking_s(case, layshaft.time_us, early_us, late_us)
-    drag = limits.drag_rad_s2 + limits.drag_rate * layshaft.omega_rad_s
-    drag_s = max(0.0, late_us - layshaft.time_us) * 1e-6
+    slip = ratio * falls.omega_rad_s - over * holds.omega_rad_s
+    least_s, most_s = 0.0, 0.0
+    if falling == LAYSHAFT:  # the brake is on it
+        least_s, most_s = _braking_s(case, falls.time_us, early_us, late_us)
+    constant, viscous = limits.drag_of(falling)
+    drag = constant + viscous * falls.omega_rad_s
+    drag_s = max(0.0, late_us - falls.time_us) * 1e-6
     fall_most = limits.brake_rad_s2[1] * most_s + drag * drag_s
     fall_least = limits.brake_rad_s2[0] * least_s
     low, high = limits.slip_rad_s
@@ -134,9 +141,10 @@ def _braking_s(
 
 
 def engage_on_unknown_speed(case: JudgedCommand) -> bool:
-    """Row 4: layshaft or main shaft speed stale or invalid."""
-    unknown = case.speed(LAYSHAFT) is None or case.speed(MAIN) is None
-    return unknown and bool(case.engaging())
+    """Row 4: the speed of a shaft that meets another stale or invalid: layshaft or main shaft, of
+    a splitter with dog teeth input shaft or layshaft."""
+    meetings = [case.limits.dogs[valve].meeting for valve, _ in case.engaging()]
+    return any(case.speed(one.falls) is None or case.speed(one.holds) is None for one in meetings)
 
 
 def brake_against_the_driveline(case: JudgedCommand) -> bool:
@@ -146,7 +154,7 @@ def brake_against_the_driveline(case: JudgedCommand) -> bool:
     brake = case.spans[BRAKE]
     if brake is None:
         return False
-    stands, sleeves = sleeve_on_a_tooth(case, brake), case.limits.main
+    stands, sleeves = sleeve_on_a_tooth(case, brake), case.limits.dogs
     engaging = [driven for driven in case.engaging() if sleeves[driven[0]].sleeve != stands]
     approaching = {stands, *(sleeves[valve].sleeve for valve, _ in engaging)}
     acts_us = max(float(case.seen.now_us), brake.start_us + case.limits.brake_delay_us[0])
@@ -201,10 +209,14 @@ def input_overspeed(case: JudgedCommand) -> bool:
     limits, main, layshaft = case.limits, case.speed(MAIN), case.speed(LAYSHAFT)
     side = _side(case.seen.positions_m[SPLITTER])
     for valve, _ in case.engaging():
+        if valve in limits.splitter:
+            if layshaft is None or limits.dogs[valve].ratio * layshaft > limits.input_max_rad_s:
+                return True
+            continue
         ratio = limits.main[valve].ratio * limits.split_ratio[side]
         if main is not None and main / ratio > limits.input_max_rad_s:
             return True
-    if case.spans[SPLIT_LOW] is None:
+    if case.spans[SPLIT_LOW] is None or SPLIT_LOW in limits.splitter:
         return False
     return layshaft is None or layshaft / limits.split_ratio[-1] > limits.input_max_rad_s
 
@@ -221,12 +233,13 @@ def disengage_under_torque(case: JudgedCommand) -> bool:
     in_mesh_m = limits.contact_m - CLEAR_M
     out_us = [
         max(now_us, span.start_us + limits.teeth_out_us)
-        for valve in MAIN_VALVES
+        for valve in limits.dogs
         if (span := case.spans[valve]) is not None and case.way_m(valve) < -in_mesh_m
     ] + [
         max(now_us, span.start_us + limits.sleeve_valve_us)
         for valve, way in ((SPLIT_LOW, -1), (SPLIT_HIGH, 1))
-        if (span := case.spans[valve]) is not None
+        if valve not in limits.splitter
+        and (span := case.spans[valve]) is not None
         and case.seen.positions_m[SPLITTER] * way < -GUARD_NEUTRAL_M
     ]
     gauge_pa = case.seen.brake_pa - limits.atmosphere_pa
@@ -280,13 +293,14 @@ def moved_without_a_request(case: JudgedCommand) -> bool:
 
 
 def back_and_forth(case: JudgedCommand) -> bool:
-    """Row 18: splitter or range sent back sooner than a clutch opens and closes. A time that lies
-    ahead is of a sensor clock that has restarted since."""
+    """Row 18: splitter or range sent back sooner than a clutch opens and closes; not a sleeve with
+    dog teeth, which is pulled to neutral and braked there. A time that lies ahead is of a sensor
+    clock that has restarted since."""
     now_us, last_us = case.seen.now_us, case.state.group_us
     return any(
         0 <= now_us - last_us.get(OTHER_END[valve], -FOREVER_US) < case.limits.clutch_travel_us
         for valve in case.starting()
-        if valve in OTHER_END
+        if valve in OTHER_END and valve not in case.limits.splitter
     )
 
 

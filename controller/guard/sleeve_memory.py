@@ -3,7 +3,7 @@ was set going, and since when it stands before a gear's teeth."""
 
 from __future__ import annotations
 
-from meshpoint.controller.guard.case import MAIN_VALVES, GuardState, JudgedCommand
+from meshpoint.controller.guard.case import GuardState, JudgedCommand
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, GuardLimits
 from meshpoint.controller.guard.view import GuardInputs
 
@@ -19,7 +19,7 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
             gear.restart()
     if not seen.valid:
         return
-    for sleeve in (0, 1):
+    for sleeve in limits.dog_sleeves:
         mine = limits.valves_of(sleeve)
         ends_us = [state.drives[valve].end_us for valve in mine if valve in state.drives]
         is_shut = all(
@@ -30,7 +30,7 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
         if stands:
             for valve in mine:
                 drive = state.drives.pop(valve, None)
-                way_m = seen.positions_m[sleeve] * limits.main[valve].direction
+                way_m = seen.positions_m[sleeve] * limits.dogs[valve].direction
                 if drive is None or way_m > GUARD_NEUTRAL_M:
                     continue
                 if drive.pulls:
@@ -61,7 +61,7 @@ def remember_drives(case: JudgedCommand) -> None:
     """Once a command has passed: which main valves have gone off, and from where those that are on
     set their sleeves going."""
     state, stood_m = case.state, {}
-    for valve in MAIN_VALVES:
+    for valve in case.limits.dogs:
         span, way_m = case.spans[valve], case.way_m(valve)
         if span is not None:
             known_m = state.stood_m.get(valve, way_m)

@@ -77,8 +77,8 @@ class GuardInputs(NamedTuple):
     """The clock that the commands are timed by, less the guard's own."""
     positions_us: int = 0
     """When the positions of the main sleeves were sampled."""
-    speeds_m_s: tuple[float, float] = (0.0, 0.0)
-    """Of the two main sleeves, over their newest samples."""
+    speeds_m_s: tuple[float, ...] = (0.0, 0.0)
+    """Of the two main sleeves, and of a splitter's with dog teeth, over their newest samples."""
     clutch_us: int = 0
     """When the clutch's position was sampled."""
     engine_torque_share: float | None = None
@@ -96,10 +96,11 @@ class GuardInputs(NamedTuple):
     in_doubt: tuple[int, ...] = ()
     """Shafts whose speed wheels are denied by those they are in mesh with, 0 input to 3 propeller;
     their speeds count as unknown."""
-    swings: tuple[Swing | None, Swing | None] = (None, None)
-    """How the speeds of layshaft and main shaft change and have changed; None where not known."""
-    means_m_s: tuple[float, float] = (0.0, 0.0)
-    """Of the two main sleeves, over all samples of a frame: with less noise, and later."""
+    swings: tuple[Swing | None, ...] = (None, None)
+    """How the speeds of layshaft and main shaft change and have changed, and of an input shaft that
+    a splitter with dog teeth leaves to itself; None where not known."""
+    means_m_s: tuple[float, ...] = (0.0, 0.0)
+    """Of the same sleeves, over all samples of a frame: with less noise, and later."""
     gear_rad: float | None = None
     """Angle of the gear that a main sleeve is measured in against that sleeve, from anywhere; None
     where none is, or a wheel's teeth are not known."""
@@ -136,7 +137,8 @@ class GuardView:
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
         self._wheels = ShaftsInMesh(sheet, limits)
-        self._swings = (SwingMemory(), SwingMemory())
+        self._swings = (SwingMemory(), SwingMemory(), SwingMemory())
+        self._has_dog_splitter = bool(limits.splitter)
         self._held = HeldGear(limits.main, sheet.dog.pitch_rad, limits.apart_m)
         self._apart_m, self._in_mesh_m = limits.apart_m, limits.in_mesh_m
 
@@ -173,6 +175,16 @@ class GuardView:
         in_doubt = self._doubted(positions if is_valid else None, speeds)
         a, b, c, d = (None if k in in_doubt else speed for k, speed in enumerate(speeds))
         agreeing, gear_rad = self._in_mesh(positions, b, c, now_us)
+        main = ear.slow[SLEEVES_MAIN]
+        swings: tuple[Swing | None, ...] = (self._swings[0].take(b), self._swings[1].take(c))
+        sleeves_us = main.time_us
+        speeds_m_s: tuple[float, ...] = main.speeds_m_s
+        means_m_s: tuple[float, ...] = main.means_m_s
+        if self._has_dog_splitter:
+            aux, swings = ear.slow[SLEEVES_AUX], (*swings, self._swings[2].take(a))
+            sleeves_us = min(sleeves_us, aux.time_us)
+            speeds_m_s = (*speeds_m_s, aux.speeds_m_s[0])
+            means_m_s = (*means_m_s, aux.means_m_s[0])
         return GuardInputs(
             now_us,
             positions,
@@ -185,8 +197,8 @@ class GuardView:
             engine.speed_rad_s,
             gear,
             error_us,
-            ear.slow[SLEEVES_MAIN].time_us,
-            ear.slow[SLEEVES_MAIN].speeds_m_s,
+            sleeves_us,
+            speeds_m_s,
             ear.slow[SENSORS].time_us,
             engine.torque_share,
             self._clutch_per_s,
@@ -194,8 +206,8 @@ class GuardView:
             is_new,
             bool(heard_us),
             in_doubt,
-            (self._swings[0].take(b), self._swings[1].take(c)),
-            ear.slow[SLEEVES_MAIN].means_m_s,
+            swings,
+            means_m_s,
             gear_rad,
             self._wheels.denies_gear,
         )

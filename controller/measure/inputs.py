@@ -35,7 +35,8 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.sensor_time import HALF, WRAP
-from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
+from meshpoint.gearbox import GearboxSheet, Range, Split
+from meshpoint.gearbox.gears import DogGear, SplitGear
 from meshpoint.kernels.jit import bare, compiled, record_on
 from meshpoint.kernels.records import WORD_BYTES, Integers, Vector, layout_of
 
@@ -329,8 +330,12 @@ class ShaftSpeeds(NamedTuple):
     main: float | None
     propeller: float | None
 
-    def slip_rad_s(self, gear: MainGear) -> float | None:
+    def slip_rad_s(self, gear: DogGear) -> float | None:
         """Slip of a gear."""
+        if isinstance(gear, SplitGear):
+            if self.layshaft is None or self.input_ is None:
+                return None
+            return self.sheet.dog_mesh(gear).ratio * self.layshaft - self.input_
         if self.layshaft is None or self.main is None:
             return None
         return self.sheet.main_mesh(gear).ratio * self.layshaft - self.main

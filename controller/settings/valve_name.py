@@ -7,6 +7,7 @@ from typing import Final
 
 from meshpoint.dbc.messages import ValveStatus
 from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.gears import DogGear, SplitGear
 
 
 class ValveName(IntEnum):
@@ -36,6 +37,16 @@ OPPOSITE: Final = {
     MainGear.THIRD: ValveName.MAIN_CRAWL,
 }
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
+
+DOG_VALVE: Final[dict[DogGear, ValveName]] = dict(SLEEVE_VALVE) | {
+    SplitGear.LOW_SPLIT: ValveName.SPLIT_LOW,
+    SplitGear.HIGH_SPLIT: ValveName.SPLIT_HIGH,
+}
+DOG_OPPOSITE: Final[dict[DogGear, ValveName]] = dict(OPPOSITE) | {
+    SplitGear.LOW_SPLIT: ValveName.SPLIT_HIGH,
+    SplitGear.HIGH_SPLIT: ValveName.SPLIT_LOW,
+}
+"""The same of all gears that may have dog teeth."""
 
 Driven = tuple[bool, ...]
 """A flag of each valve, in the order of `ValveName`."""

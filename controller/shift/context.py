@@ -21,7 +21,7 @@ from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.strategist import Plan, Strategist
 from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.settings import MS_IN_US, ControllerSettings, ValveTiming
-from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
+from meshpoint.controller.settings.valve_name import DOG_VALVE, ValveName
 from meshpoint.controller.shift.step_snapshot import RingingDetector, StepSnapshot, TorqueDecay
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.sleeve.sleeves import Sleeves
@@ -29,7 +29,8 @@ from meshpoint.controller.sleeve.stroke import Stroke
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult, ValveAction, ValveCommand
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.sensor_time import wrap
-from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
+from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear, Sleeve
+from meshpoint.gearbox.gears import MAIN_SLEEVES, SIDE_OF, DogGear, SplitGear
 from meshpoint.units import US
 
 _ACTION: Final = itemgetter(0)
@@ -125,9 +126,9 @@ class ValveBoard:
         return self._commands[valve]
 
     def publish_to(self, sleeves: Sleeves, now_us: int) -> None:
-        """What is commanded of the main sleeves' valves; what goes off at once takes the bus's
+        """What is commanded of the valves of dog sleeves; what goes off at once takes the bus's
         time."""
-        for valve in SLEEVE_VALVE.values():
+        for valve in DOG_VALVE.values():
             command = self._commands[valve]
             switches = [(now_us + BUS_US if command is OFF else command.time_us, command.on)]
             if command.until_us < FOREVER_US:
@@ -310,7 +311,12 @@ class ShiftContext:
 
     def main_valves_rest(self, now_us: int) -> bool:
         """Whether no valve of the main box is driven or will be."""
-        return all(self.board.command(valve).rests(now_us) for valve in SLEEVE_VALVE.values())
+        return self.valves_rest(now_us, MAIN_SLEEVES)
+
+    def valves_rest(self, now_us: int, sleeves: tuple[Sleeve, ...]) -> bool:
+        """The same of these sleeves."""
+        valves = [DOG_VALVE[gear] for gear, side in SIDE_OF.items() if side.sleeve in sleeves]
+        return all(self.board.command(valve).rests(now_us) for valve in valves)
 
     def is_shut(self, now_us: int) -> bool:
         """Whether samples are there of after the last valve shut that pushed a sleeve to neutral,
@@ -335,10 +341,12 @@ class ShiftContext:
         while not 0 <= snapshot.now_us - self.brake_gauges[0][0] <= BRAKE_GAUGES_US:
             self.brake_gauges.popleft()
 
-    def _turns_against(self, gear: MainGear, snapshot: StepSnapshot) -> bool:
+    def _turns_against(self, gear: DogGear, snapshot: StepSnapshot) -> bool:
         """Whether a gear turns against its sleeve faster than the guard lets any be fired, by the
-        measured speeds."""
+        measured speeds. Of the splitter it is the sleeve that comes from above."""
         slip_rad_s = snapshot.speeds.slip_rad_s(gear)
+        if slip_rad_s is not None and isinstance(gear, SplitGear):
+            slip_rad_s = -slip_rad_s
         return slip_rad_s is not None and self.settings.guard.is_outside(slip_rad_s)
 
     def notify_actuators(self, now_us: int) -> None:

@@ -17,7 +17,13 @@ from typing import Final
 from meshpoint.controller.estimate.reference import RELEASED
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings.settings import MS_IN_US
-from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
+from meshpoint.controller.settings.valve_name import (
+    DOG_OPPOSITE,
+    DOG_VALVE,
+    OPPOSITE,
+    SLEEVE_VALVE,
+    ValveName,
+)
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.engine import raise_ahead, ramp_down
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -26,7 +32,7 @@ from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.sleeve.stroke import Pulse
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
-from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, Sleeve
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, DogGear, Sleeve
 from meshpoint.units import SECOND_US
 
 CLEAR_M: Final = 1.0e-3
@@ -36,7 +42,7 @@ PRESSED_PA: Final = 0.8e5
 by another pulse. The guard draws the line a little higher."""
 BRAKES_US: Final = 20 * MS_IN_US
 """So soon after the end of a push a pulse against it brakes."""
-_OTHER: Final = {SLEEVE_VALVE[gear]: OPPOSITE[gear] for gear in MAIN_GEARS}
+_OTHER: Final = {valve: DOG_OPPOSITE[gear] for gear, valve in DOG_VALVE.items()}
 EARLY_US: Final = MS_IN_US // 2
 """A step may come by so much sooner than a tick of the sensor clock after the one before: clocks
 differ, and that one may have been late."""
@@ -92,7 +98,7 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
             return Trigger.MAIN_BOX_NEUTRAL
         return None
     if gear is not None and gear is not MainGear.NEUTRAL:
-        if _stays_in(context, snapshot):
+        if stays_in(context, snapshot):
             return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
         pull_out(context, snapshot, gear)
     elif shift.returns > limits.attempts or context.late(
@@ -107,10 +113,10 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     return None
 
 
-def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> None:
+def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: DogGear) -> None:
     """Sends the pulse that pulls this gear out as the plates part. A time that can still be moved
     follows the clutch, and a clutch that stops or comes back takes the command back."""
-    valve = OPPOSITE[gear]
+    valve = DOG_OPPOSITE[gear]
     unloaded_us = context.unloaded_us(snapshot, valve)
     shift, now_us, command = context.running, snapshot.now_us, context.board.command(valve)
     if unloaded_us is None:
@@ -140,7 +146,7 @@ def _shows_us(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> 
     return SHOWS_US + round(turns_s * SECOND_US)
 
 
-def _stays_in(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+def stays_in(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the gear has been pulled often enough and for `limits.disengage_ms` in vain, or could
     not be pulled for as long as all attempts may take: a clutch that does not part."""
     shift, limits = context.running, context.settings.limits
@@ -154,13 +160,14 @@ def _rests_after_pull(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return is_over and not is_under_way(context, snapshot)
 
 
-def _may_pull(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> bool:
+def _may_pull(context: ShiftContext, snapshot: StepSnapshot, gear: DogGear) -> bool:
     """Whether the gear is to be pulled, or pulled once more: torque on the teeth may have reversed
     since."""
     if not (_rests_after_pull(context, snapshot) and context.sleeves.rests(gear)):
         return False
     context.running.pulls += 1
-    context.mesh_changes.append(RELEASED)
+    if isinstance(gear, MainGear):
+        context.mesh_changes.append(RELEASED)
     return True
 
 
@@ -187,15 +194,22 @@ def sleeves_stand(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return context.is_shut(snapshot.now_us) and not is_under_way(context, snapshot)
 
 
-def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: bool) -> bool:
-    """Brings the main sleeves that do not come to rest in neutral by themselves there, one after
-    the other. Whether that is still under way.
+def bring_to_neutral(
+    context: ShiftContext,
+    snapshot: StepSnapshot,
+    *,
+    stands: bool,
+    sleeves: tuple[Sleeve, ...] = MAIN_SLEEVES,
+) -> bool:
+    """Brings the sleeves that do not come to rest in neutral by themselves there, one after the
+    other. Whether that is still under way.
 
     stands: only a sleeve that stands is moved; else one that flies past is braked, too."""
     _withdraw_push(context, snapshot)
-    if not context.main_valves_rest(snapshot.now_us) or (stands and _moves(context, snapshot)):
+    is_driven = not context.valves_rest(snapshot.now_us, sleeves)
+    if is_driven or (stands and _moves(context, snapshot, sleeves)):
         return True
-    for sleeve in MAIN_SLEEVES:
+    for sleeve in sleeves:
         if _may_be_in_mesh(context, snapshot, sleeve):
             return True
         pulse = context.sleeves.to_neutral(sleeve, snapshot.at_once_us)
@@ -207,7 +221,7 @@ def bring_to_neutral(context: ShiftContext, snapshot: StepSnapshot, *, stands: b
                 context.shift.pushed_us = pulse.off_us
                 context.shift.is_braked = _brakes(context, pulse)
             return True
-    return _moves(context, snapshot)
+    return _moves(context, snapshot, sleeves)
 
 
 def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
@@ -244,10 +258,12 @@ def _may_be_in_mesh(context: ShiftContext, snapshot: StepSnapshot, sleeve: Sleev
     return at_teeth and snapshot.view.brake_gauge_pa > PRESSED_PA
 
 
-def _moves(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether a main sleeve moves, or has stood for so short a time that it may."""
-    places = [context.sleeves.place(sleeve, snapshot.earliest_us) for sleeve in MAIN_SLEEVES]
-    return any(place.is_moving for place in places) or not snapshot.view.main_rests
+def _moves(
+    context: ShiftContext, snapshot: StepSnapshot, sleeves: tuple[Sleeve, ...] = MAIN_SLEEVES
+) -> bool:
+    """Whether a sleeve moves, or has stood for so short a time that it may."""
+    places = [context.sleeves.place(sleeve, snapshot.earliest_us) for sleeve in sleeves]
+    return any(place.is_moving for place in places) or not all(map(snapshot.view.rests, sleeves))
 
 
 def is_under_way(context: ShiftContext, snapshot: StepSnapshot) -> bool:

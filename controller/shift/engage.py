@@ -25,12 +25,13 @@ from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import OPPOSITE, SLEEVE_VALVE, ValveName
 from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftContext
 from meshpoint.controller.shift.disengage import bring_to_neutral
+from meshpoint.controller.shift.legs import leg_done
 from meshpoint.controller.shift.move_on import move_on
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import brake_holds, fire_if_due, plan_firing, shift_aims
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.sleeve.stroke import Halt
-from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.units import SECOND_US
@@ -76,6 +77,7 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     # the overlap holds the sleeve. A gear whose phase is not known yet is left to show its flank.
     holds = _entered_m(context, snapshot) > context.sheet.dog.most_overlap_m
     holds = holds and context.reference_known(gear) and strikes_first(context, snapshot.now_us)
+    holds = holds and shift.after is None
     context.clutch = ClutchAction.CLOSE if holds else ClutchAction.OPEN
     if shift.measured_contact_us is not None:
         move_on(context, snapshot, _entered_m(context, snapshot))
@@ -314,8 +316,7 @@ def in_mesh(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
     straight = _went_straight(context, seen_us)
     struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
     context.mesh_changes.append(MeshChange(gear, _flank_slip_rad_s(context, struck_us)))
-    context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE, seen_us)
-    return Trigger.ENGAGED
+    return leg_done(context, snapshot, seen_us)
 
 
 def _went_straight(context: ShiftContext, seen_us: int | None) -> bool:

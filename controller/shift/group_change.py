@@ -15,6 +15,7 @@ from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.context import ShiftContext
+from meshpoint.controller.shift.splitter import change_by_dog_teeth
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import FaultCode, ShiftResult
@@ -43,6 +44,8 @@ class GroupChange(NamedTuple):
 
 def change_splitter(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """A shift by the splitter alone; the main box stays in its gear."""
+    if context.sheet.has_dog_splitter:
+        return change_by_dog_teeth(context, snapshot)
     missing = _unfinished(_push_steps(context, snapshot))
     if missing is None:
         context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
@@ -101,7 +104,8 @@ def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[GroupChange]:
     target, view, speeds = context.running.target, snapshot.view, snapshot.speeds
     from_ = _stood(view, context)
     steps = []
-    if from_[0] is not target.split:
+    # One with dog teeth changes in a leg of its own.
+    if from_[0] is not target.split and not context.sheet.has_dog_splitter:
         rests = from_[0] is None and _layshaft_rests(snapshot)
         split = Split.HIGH if rests else target.split
         steps.append(

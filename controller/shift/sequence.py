@@ -28,6 +28,8 @@ from meshpoint.controller.shift.disengage import (
 from meshpoint.controller.shift.engage import CALLS, engage, hold, recall, retract, strikes_first
 from meshpoint.controller.shift.engine import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
+from meshpoint.controller.shift.legs import leg_done, next_leg, set_goal
+from meshpoint.controller.shift.splitter import is_between
 from meshpoint.controller.shift.step_snapshot import FREE_STATES, MISSING, StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
 from meshpoint.controller.shift.table import (
@@ -39,7 +41,7 @@ from meshpoint.controller.shift.table import (
 )
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.gearbox import MainGear
+from meshpoint.gearbox import MainGear, Sleeve
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
 
@@ -107,7 +109,9 @@ def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
 
     The clutch stays open while a sleeve is between neutral and a gear."""
     limit_ms = context.settings.limits.clutch_ms
-    if snapshot.view.main_gear is None:
+    if is_between(context, snapshot):
+        bring_to_neutral(context, snapshot, stands=True, sleeves=(Sleeve.SPLITTER,))
+    if snapshot.view.main_gear is None or is_between(context, snapshot):
         context.clutch = ClutchAction.OPEN
         return Trigger.GEAR_UNKNOWN if context.late(snapshot, limit_ms) else None
     closes = strikes_first(context, snapshot.now_us)
@@ -220,8 +224,7 @@ class ShiftSequence(ShiftContext):
         asked for. Nobody saw how its teeth met: nothing is learned of its phase."""
         asked = DRIVE_GEARS.get(snapshot.view.gear_number) == self.running.target
         if asked and self.state in STEPS_ARE_IN:
-            self.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
-            return Trigger.ENGAGED
+            return leg_done(self, snapshot)
         return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _out_of_neutral(self, snapshot: StepSnapshot) -> Trigger:
@@ -285,6 +288,7 @@ class ShiftSequence(ShiftContext):
             self.finished, self.fault = record, record.fault
             return f"request for gear {number} refused: {reason}"
         self.shift, self.fault = record, FaultCode.NONE
+        set_goal(self, record.target, snapshot)
         self.catches_engine, self.engine_rad_s = False, None
         self._go(Trigger.REQUESTED, snapshot)
         return None
@@ -311,14 +315,23 @@ class ShiftSequence(ShiftContext):
             return FaultCode.REQUEST_IMPOSSIBLE, "a main sleeve stands between two gears"
         if snapshot.supply_pa < self.settings.limits.supply_low_pa:
             return FaultCode.LOW_SUPPLY, f"supply at {snapshot.supply_pa / 1e5:.1f} bar"
+        if self._is_adrift(snapshot.view):
+            return FaultCode.SPLITTER_FAILED, "the splitter stands in no step, nothing turns it"
         propeller = self._propeller(snapshot)
         top = self.sheet.limits.input_max_rad_s
         if propeller is not None:
-            input_rad_s = propeller * self.sheet.overall_ratio(DRIVE_GEARS[number])
+            goal = DRIVE_GEARS[number]
+            legs = (goal, next_leg(self.sheet, snapshot.view, goal))
+            input_rad_s = propeller * max(map(self.sheet.overall_ratio, legs))
             if input_rad_s * (RAISE_ROOM if _may_be_raised(number, snapshot.view) else 1.0) > top:
                 rpm = input_rad_s * 30.0 / math.pi
                 return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
         return None
+
+    def _is_adrift(self, view: GearboxView) -> bool:
+        """Whether neither the main box nor a splitter with dog teeth holds the layshaft."""
+        neutral = view.main_gear is MainGear.NEUTRAL
+        return self.sheet.has_dog_splitter and neutral and view.split is None
 
     def _propeller(self, snapshot: StepSnapshot) -> float | None:
         """Propeller shaft speed (rad/s); with its sensor silent, that of the main shaft through the

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, auto
 from typing import Final
 
@@ -39,6 +39,8 @@ class Trigger(IntEnum):
     """The sleeve has to go back: it rests on a tooth, or would meet one."""
     ABORTED = auto()
     """The sleeve would meet a tooth: it is stopped short of the teeth."""
+    LEG_DONE = auto()
+    """One of two changes is made, of the main box or of a splitter with dog teeth."""
     RETRACTED = auto()
     GAVE_UP = auto()
     GEAR_UNKNOWN = auto()
@@ -81,6 +83,8 @@ TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
     (_S.FAULTED, _T.FOUND_IN_NEUTRAL): _S.CLUTCH_CLOSING,
 }
 """A pair that is missing here is a programming error: KeyError."""
+for _state in (_S.SPLITTER_CHANGING, _S.ENGAGING, _S.HALTED, _S.RETRACTING):
+    TRANSITIONS[_state, _T.LEG_DONE] = _S.DISENGAGING
 
 IN_SHIFT: Final = (
     _S.CLUTCH_OPENING,
@@ -109,6 +113,24 @@ for _state in NEUTRAL_WANTED:
     TRANSITIONS[_state, _T.LEFT_NEUTRAL] = _S.DISENGAGING
 for _state in STEPS_ARE_IN:
     TRANSITIONS[_state, _T.ENGAGED] = _S.CLUTCH_CLOSING
+    TRANSITIONS[_state, _T.LEG_DONE] = _S.DISENGAGING
+
+
+@dataclass
+class SplitterChange:
+    """How far the change of a splitter with dog teeth has come."""
+
+    inputs: list[tuple[int, float]] = field(default_factory=list)
+    """The input shaft's speeds (us, rad/s) since it has turned alone."""
+    fire_us: int | None = None
+    """When its sleeve was fired into the new step; None: it is not on its way there."""
+    attempts: int = 0
+    drives: int = 0
+    """How often the engine was to bring the input shaft to the new step's speed."""
+    is_driven: bool = False
+    """Whether it does so."""
+    falls_rad_s2: float = 0.0
+    """How fast that fell by itself before."""
 
 
 @dataclass
@@ -119,9 +141,14 @@ class ShiftRecord:
     to_number: int
     """The drive gear asked for; -1 if there is no such gear, and `target` is then meaningless."""
     target: DriveGear
+    """The gear that the shift goes to now."""
     request_us: int
     strategy: Strategy
     """The strategy that acts: the fallback while the reference is unknown."""
+    after: DriveGear | None = None
+    """The gear asked for, where dog teeth of splitter and main box change one after the other and
+    the target is the gear in between; else None."""
+    splitter: SplitterChange = field(default_factory=SplitterChange)
     aimed: bool = False
     """Whether the acting strategy aims at a phase; then the contact shows the error of its
     prediction."""

@@ -11,7 +11,7 @@ from meshpoint.controller.settings.learned import (
     SleeveRecord,
     SleeveRecords,
 )
-from meshpoint.controller.settings.valve_name import SLEEVE_VALVE, ValveName
+from meshpoint.controller.settings.valve_name import DOG_VALVE, ValveName
 from meshpoint.controller.sleeve.cylinder import ON
 from meshpoint.controller.sleeve.driven import DrivenSleeve, Switch, valve_towards
 from meshpoint.controller.sleeve.law import SleeveLaw, known_from, law_record
@@ -41,8 +41,8 @@ from meshpoint.controller.sleeve.stroke import (
     to_contact,
 )
 from meshpoint.controller.sleeve.tracked import Contact, TrackedSleeve
-from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve
-from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.gearbox import GearboxSheet, Sleeve
+from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SIDE_OF, DogGear
 from meshpoint.units import SECOND_US, US
 
 PLACE_STEP_M: Final = 1e-5
@@ -86,15 +86,16 @@ class Side(NamedTuple):
 
 _SIDES: Final = {
     gear: Side(side.sleeve, side.direction, valve_towards(side.direction))
-    for gear, side in SLEEVE_OF_MAIN.items()
+    for gear, side in SIDE_OF.items()
 }
-_OF_VALVE: Final = {SLEEVE_VALVE[gear]: _SIDES[gear] for gear in MAIN_GEARS}
+_OF_VALVE: Final = {DOG_VALVE[gear]: side for gear, side in _SIDES.items()}
 _GEAR_AT: Final = {(side.sleeve, side.direction): gear for gear, side in _SIDES.items()}
 _VALVES: Final = {(side.sleeve, side.valve): name for name, side in _OF_VALVE.items()}
 
 
 class Sleeves:
-    """The main sleeves of a gearbox, each a mass between two chambers."""
+    """The sleeves with dog teeth of a gearbox, each a mass between two chambers: those of the main
+    box, and the splitter's where it has such teeth."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._law = SleeveLaw(sheet)
@@ -112,42 +113,49 @@ class Sleeves:
         """By so much longer than its current a pulse may be, its valve late to shut."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
-        self._abort_after_us: dict[MainGear, int] = {}
+        self._abort_after_us: dict[DogGear, int] = {}
         """By gear: so long after a firing the last abort comes."""
-        self._abort_known: dict[MainGear, tuple[int, int]] = {}
+        self._abort_known: dict[DogGear, tuple[int, int]] = {}
         """By what that was worked out, unless that has changed since."""
         self._learned: set[Sleeve] = set()
         """Those of which this step has learned something."""
-        self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in MAIN_SLEEVES}
+        sleeves = (*MAIN_SLEEVES, Sleeve.SPLITTER) if sheet.has_dog_splitter else MAIN_SLEEVES
+        self._gears = sheet.dog_gears
+        self._sleeves = {sleeve: TrackedSleeve(self._law, prior) for sleeve in sleeves}
         self.supply_pa = self._law.sheet_pa
-        self._chances = {gear: ContactChance(sheet.sleeve) for gear in MAIN_GEARS}
-        self._neutral_sd_s = {gear: self._law_sd_s(gear) for gear in MAIN_GEARS}
+        self._chances = {gear: ContactChance(sheet.sleeve) for gear in self._gears}
+        self._neutral_sd_s = {gear: self._law_sd_s(gear) for gear in self._gears}
         """Deviation of the contact from neutral by what is known of the law, no chance in it."""
-        self.contacts: dict[MainGear, Contact] = {}
+        self.contacts: dict[DogGear, Contact] = {}
         """The newest contact with each gear."""
-        self._from_rest: dict[MainGear, tuple[tuple[int, int, int], Stroke]] = {}
+        self._from_rest: dict[DogGear, tuple[tuple[int, int, int], Stroke]] = {}
         self._tell_scatter()
         self._unlearned = DrivenSleeve(self._law, prior)
         self._sheets_pulse_us: dict[tuple[int, float], int] = {}
 
+    def _side(self, valve: ValveName) -> Side | None:
+        """The side that a valve pushes to; None of one that is none of this room's."""
+        side = _OF_VALVE.get(valve)
+        return side if side is not None and side.sleeve in self._sleeves else None
+
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
         """A main valve's coil switches then (known in advance, or since); this replaces what was
         still to come of that valve. Other valves are none of this room's."""
-        side = _OF_VALVE.get(valve)
+        side = self._side(valve)
         if side is not None:
             self._sleeves[side.sleeve].commanded(side.valve, on, time_us, self._now_us)
 
     def expected(self, valve: ValveName, switches: list[tuple[int, bool]]) -> None:
         """A main valve's coil switches then (time, on), in this order, and not otherwise. Said once
         or in each step."""
-        side = _OF_VALVE.get(valve)
+        side = self._side(valve)
         if side is not None and switches != self._expected.get(valve):
             self._expected[valve] = switches
             self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
 
     def withdrawn(self, valve: ValveName, now_us: int) -> None:
         """A switch still to come does not come."""
-        side = _OF_VALVE.get(valve)
+        side = self._side(valve)
         if side is not None:
             self._sleeves[side.sleeve].withdrawn(side.valve, now_us)
 
@@ -166,7 +174,7 @@ class Sleeves:
             if tracked.contact is not None and tracked.contact is not before:
                 self._learn_contact(_GEAR_AT[sleeve, tracked.contact.direction], tracked.contact)
 
-    def _learn_contact(self, gear: MainGear, contact: Contact) -> None:
+    def _learn_contact(self, gear: DogGear, contact: Contact) -> None:
         self.contacts[gear] = contact
         if self._chances[gear].learn(contact, self._neutral_sd_s[gear]):
             self._neutral_sd_s[gear] = self._law_sd_s(gear)
@@ -175,17 +183,17 @@ class Sleeves:
     def _tell_scatter(self) -> None:
         self._from_rest.clear()
         self._abort_known.clear()
-        for gear, side in _SIDES.items():
+        for gear in self._gears:
+            side = _SIDES[gear]
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
 
-    def reached(self) -> list[MainGear]:
+    def reached(self) -> list[DogGear]:
         """The gears to whose teeth a sleeve has come by the newest samples, whatever sent it
         there."""
-        return [
-            gear for gear, s in _SIDES.items() if self._sleeves[s.sleeve].reached == s.direction
-        ]
+        sides = [(gear, _SIDES[gear]) for gear in self._gears]
+        return [gear for gear, s in sides if self._sleeves[s.sleeve].reached == s.direction]
 
-    def contact_us(self, gear: MainGear, fired_us: int) -> float | None:
+    def contact_us(self, gear: DogGear, fired_us: int) -> float | None:
         """When the sleeve that was fired then came to this gear's teeth, as measured; None before
         it did."""
         side = _SIDES[gear]
@@ -208,14 +216,14 @@ class Sleeves:
         way = self._sleeves[sleeve].at(at_us)
         return Place(way.m, way.end_m_s, way.end_m_s != 0.0)
 
-    def stroke(self, gear: MainGear, fire_us: int) -> Stroke:
+    def stroke(self, gear: DogGear, fire_us: int) -> Stroke:
         """The contact, if the valve towards the gear switches on then, from where the sleeve is
         then."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         return self._stroke(gear, tracked, tracked.fired(side.direction, fire_us))
 
-    def stroke_after(self, gear: MainGear, halt: Halt, fire_us: int) -> Stroke:
+    def stroke_after(self, gear: DogGear, halt: Halt, fire_us: int) -> Stroke:
         """The contact, if a sleeve on its way to this gear is stopped so, and fired again then."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
@@ -223,13 +231,13 @@ class Sleeves:
         stopped = aborted(tracked.switches, side.direction, halt.at_us, pulse_us)
         return self._stroke(gear, tracked, [*stopped, Switch(fire_us, side.valve, True)])
 
-    def from_neutral(self, gear: MainGear) -> Stroke:
+    def from_neutral(self, gear: DogGear) -> Stroke:
         """A stroke from neutral at the present supply pressure: `contact_us` is its delay."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve].at_rest(0.0)
         return self._stroke(gear, tracked, [Switch(0, side.valve, True)])
 
-    def from_rest(self, gear: MainGear) -> Stroke:
+    def from_rest(self, gear: DogGear) -> Stroke:
         """The same from where the sleeve stands, or stood before it moved; from neutral, where that
         is in a gear."""
         side = _SIDES[gear]
@@ -249,7 +257,7 @@ class Sleeves:
             self._from_rest[gear] = known
         return known[1]
 
-    def _stroke(self, gear: MainGear, tracked: DrivenSleeve, switches: list[Switch]) -> Stroke:
+    def _stroke(self, gear: DogGear, tracked: DrivenSleeve, switches: list[Switch]) -> Stroke:
         side, chance = _SIDES[gear], self._chances[gear]
         way = to_contact(tracked, side.direction, switches)
         if way.crossed_us is None:
@@ -261,7 +269,7 @@ class Sleeves:
         contact_us = round(way.crossed_us + SECOND_US * bias_s)
         return Stroke(contact_us, SECOND_US * sd_s, chance.freedom, way.speed_m_s)
 
-    def _law_sd_s(self, gear: MainGear) -> float:
+    def _law_sd_s(self, gear: DogGear) -> float:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve].at_rest(0.0)
         switches = [Switch(0, side.valve, True)]
@@ -270,7 +278,7 @@ class Sleeves:
         contact_us = LONGEST_US if crossed_us is None else crossed_us
         return contact_sd_s(tracked, side.direction, switches, contact_us)
 
-    def last_abort_us(self, gear: MainGear, fire_us: int) -> int | None:
+    def last_abort_us(self, gear: DogGear, fire_us: int) -> int | None:
         """The latest "driving valve off, opposite one on" (coils) at which a sleeve fired at
         `fire_us` still stops short of the teeth by the margin. None where it cannot be stopped any
         more, or stands already."""
@@ -283,14 +291,14 @@ class Sleeves:
         earliest_us = max(fire_us, self._now_us)
         return latest_abort_us(tracked, side.direction, fired, earliest_us, int(contact_us))
 
-    def stops(self, gear: MainGear, fire_us: int, at_us: int) -> bool:
+    def stops(self, gear: DogGear, fire_us: int, at_us: int) -> bool:
         """Whether a sleeve fired at `fire_us` stops short of the teeth by the margin, if it is
         aborted then."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         return stops(tracked, side.direction, tracked.fired(side.direction, fire_us), at_us)
 
-    def abort_after_us(self, gear: MainGear) -> int:
+    def abort_after_us(self, gear: DogGear) -> int:
         """So long after a firing from neutral the sleeve can last be stopped short of the teeth. In
         a step that learns from a movement, which takes long enough, by what was known before."""
         side = _SIDES[gear]
@@ -302,7 +310,7 @@ class Sleeves:
             self._abort_after_us[gear], self._abort_known[gear] = last_us or 0, known
         return self._abort_after_us[gear]
 
-    def abort(self, gear: MainGear, at_us: int) -> Halt:
+    def abort(self, gear: DogGear, at_us: int) -> Halt:
         """How a sleeve on its way to this gear is stopped from then on, and where it will stand."""
         side = _SIDES[gear]
         return halted(self._sleeves[side.sleeve], side.direction, at_us)
@@ -343,17 +351,17 @@ class Sleeves:
         """From a valve's current until the sleeve that it pulls begins to move, as expected, and
         until the teeth that part then may be out, at the earliest. Those of splitter and range,
         which are none of this room's, part as their sleeve moves."""
-        side = None if valve is None else _OF_VALVE.get(valve)
+        side = None if valve is None else self._side(valve)
         if side is None:
             return self._valve_us, self._valve_us
         moves_us = SECOND_US * float(self._sleeves[side.sleeve].known.mean[ON + side.valve])
         return moves_us, self._valve_us + self._least_out_us
 
-    def rests(self, gear: MainGear) -> bool:
+    def rests(self, gear: DogGear) -> bool:
         """Whether a gear's sleeve stands, and what its last movement showed has been learned."""
         return self._sleeves[_SIDES[gear].sleeve].rests
 
-    def pull_out(self, gear: MainGear, on_us: int, in_vain: int = 0) -> Pulse:
+    def pull_out(self, gear: DogGear, on_us: int, in_vain: int = 0) -> Pulse:
         """The pulse that takes a sleeve out of this gear and leaves it at rest in neutral: a longer
         one for each pull in vain, a shorter one where that may throw it through."""
         side = _SIDES[gear]
@@ -402,10 +410,10 @@ class Sleeves:
         return Pulse(_VALVES[sleeve, valve_towards(direction)], on_us, on_us + long_us, rests_m)
 
     def records(self) -> SleeveRecords:
-        """What a calibration file keeps of the gears whose contacts have been seen."""
-        return SleeveRecords(**{gear.name.lower(): self.record(gear) for gear in self._chances})
+        """What a calibration file keeps of the main gears whose contacts have been seen."""
+        return SleeveRecords(**{gear.name.lower(): self.record(gear) for gear in MAIN_GEARS})
 
-    def record(self, gear: MainGear) -> SleeveRecord | None:
+    def record(self, gear: DogGear) -> SleeveRecord | None:
         """That of one gear; None where no contact of it has been seen."""
         chance = self._chances[gear]
         if chance.samples == 0:
@@ -417,15 +425,15 @@ class Sleeves:
         return SleeveRecord(delay_s, chance.weight, chance.scatter_s, chance.freedom)
 
     def laws(self) -> SleeveLawRecords:
-        """What it keeps of the sleeves whose law was learned."""
-        return SleeveLawRecords(**{each.name.lower(): self.law(each) for each in self._sleeves})
+        """What it keeps of the main sleeves whose law was learned."""
+        return SleeveLawRecords(**{each.name.lower(): self.law(each) for each in MAIN_SLEEVES})
 
     def law(self, sleeve: Sleeve) -> SleeveLawRecord | None:
         """That of one sleeve; None where it was not learned."""
         tracked = self._sleeves[sleeve]
         return law_record(tracked.known, tracked.movements) if tracked.movements > 0 else None
 
-    def law_figures(self, gear: MainGear) -> LawFigures:
+    def law_figures(self, gear: DogGear) -> LawFigures:
         """What is known of the law by which the sleeve goes to this gear."""
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
@@ -433,14 +441,15 @@ class Sleeves:
 
     def restore(self, records: SleeveRecords, laws: SleeveLawRecords) -> None:
         """Goes on from records; what is without one stays as the data sheet says."""
-        for sleeve, tracked in self._sleeves.items():
+        for sleeve in MAIN_SLEEVES:
+            tracked = self._sleeves[sleeve]
             law: SleeveLawRecord | None = getattr(laws, sleeve.name.lower())
             if law is not None:
                 tracked.set_prior(known_from(law))
                 tracked.movements = law.movements
         supply_pa, self.supply_pa = self.supply_pa, self._law.sheet_pa
-        for gear, chance in self._chances.items():
-            record = records.of(gear)
+        for gear in MAIN_GEARS:
+            chance, record = self._chances[gear], records.of(gear)
             if record is not None:
                 bias_s = record.delay_s - self.from_neutral(gear).contact_us * US
                 chance.set(bias_s, record.samples, record.scatter_s, record.scatter_samples)

@@ -241,9 +241,10 @@ class LogReader:
             self._sleeves.supply_pa = self._supply[-1] - self._sheet.air.atmosphere_pa
         before = dict(self._sleeves.contacts)
         self._sleeves.take(self._view, now_us)
-        for gear, contact in self._sleeves.contacts.items():
-            if contact is not before.get(gear):
-                self.content.contacts.add((gear, contact))
+        for met, contact in self._sleeves.contacts.items():
+            # Those of a splitter with dog teeth are not fitted.
+            if isinstance(met, MainGear) and contact is not before.get(met):
+                self.content.contacts.add((met, contact))
         for sleeve in MAIN_SLEEVES:
             samples_m = self._view.tracks[sleeve].samples_m
             if max(samples_m) - min(samples_m) > MOVED_M:

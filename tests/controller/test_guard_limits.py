@@ -72,6 +72,7 @@ BY_HAND: dict[str, Any] = {
 PAIRS = {
     "brake_rad_s2": (100.0 / 1.4 / 0.4267676767676768, 140.0 / 0.362930612244898),
     "brake_delay_us": (0.85 * 12_000.0, 1.15 * 12_000.0),
+    "input_drag": (15.0 / 0.11, 1.4 * 0.13 / 0.11),
     "slip_rad_s": (-60.0 * math.pi / 30.0, 120.0 * math.pi / 30.0),
 }
 GEAR_AT = {
@@ -131,7 +132,22 @@ def test_tables_and_pairs_are_as_worked_out_by_hand() -> None:
     assert found.range_ratio == pytest.approx({-1: 4 / 15, 1: 1.0})
     fields = {field.name for field in dataclasses.fields(GuardLimits)}
     assert fields == {*BY_HAND, *PAIRS, "face_pulse_us", "gear_at", "main", "split_ratio",
-                      "range_ratio"}  # fmt: skip
+                      "range_ratio", "splitter"}  # fmt: skip
+
+
+def test_the_splitters_valves_are_those_of_a_sleeve_with_dog_teeth() -> None:
+    """Its gears are driven by the layshaft, on the input shaft; with cones they are none."""
+    dog = guard_limits(load_sheet("truck12-dog"), ControllerSettings())
+    assert not limits().splitter
+    assert limits().dogs == limits().main
+    assert {valve: (each.sleeve, each.direction) for valve, each in dog.splitter.items()} == {
+        1: (2, -1), 2: (2, 1)
+    }  # fmt: skip
+    ratios = {valve: each.ratio for valve, each in dog.splitter.items()}
+    assert ratios == pytest.approx({1: 43 / 33, 2: 37 / 35})
+    assert dog.main == limits().main
+    longer_us = 1000 * (1500 + 4 * (2000 + 2000))
+    assert dog.request_us - limits().request_us == longer_us
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,194 @@
+"""A splitter with dog teeth: its sleeve is fired at a slip that is wanted (`window.fire_slip_rpm`).
+
+The main box stays in its gear meanwhile, so that the layshaft turns with the vehicle. The clutch is
+open, and once its sleeve is out the input shaft turns alone and is slowed down by drag, which is
+little. So the engine brings it through the clutch to a speed above the new step's first, up or
+down, and opens the clutch again. The sleeve comes from above: it turns faster than the gear, the
+other way round than in the main box.
+
+It is not aimed: nothing predicts the input shaft's angle. Tooth meets gap by chance; the slip is
+large enough for a gap to come by before friction on the faces has brought the light input shaft to
+the gear's speed, where it would stick.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
+from meshpoint.controller.settings.settings import MS_IN_US, SPEEDS_RAD_S
+from meshpoint.controller.settings.valve_name import DOG_VALVE
+from meshpoint.controller.shift.context import ShiftContext
+from meshpoint.controller.shift.disengage import CLEAR_M, bring_to_neutral, pull_out
+from meshpoint.controller.shift.engine import CARRIED_RAD_S, OVER_RAD_S, SHORT_RAD_S
+from meshpoint.controller.shift.legs import leg_done
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.table import Trigger
+from meshpoint.dbc.messages import ClutchAction, FaultCode
+from meshpoint.gearbox import Sleeve
+from meshpoint.gearbox.gears import SIDE_OF, SPLIT_GEAR, SplitGear
+from meshpoint.units import RPM, SECOND_US, US
+
+MINE: Final = (Sleeve.SPLITTER,)
+FALL_US: Final = 100 * MS_IN_US
+"""How fast the input shaft falls is taken over so long."""
+LEAST_FALL_US: Final = 30 * MS_IN_US
+SEEN_LATE_US: Final = 15 * MS_IN_US
+"""A measured speed is so old on the average."""
+LEAST_SLIP_RAD_S: Final = 20.0 * RPM
+"""With less slip at contact a tooth may stick on a tooth at once: the engine raises the shaft."""
+
+
+def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
+    """Out of the old step, the shafts to one speed, into the new step."""
+    shift, split, view = context.running, context.running.target.split, snapshot.view
+    change, gear = shift.splitter, SPLIT_GEAR[split]
+    if view.split is split and snapshot.speeds.split_turns_together(split):
+        if shift.attempts == 0:
+            shift.attempts, shift.first_fire_us = change.attempts, change.fire_us
+        return leg_done(context, snapshot)
+    if _is_over(context, snapshot):
+        return context.give_up(snapshot, FaultCode.SPLITTER_FAILED)
+    if view.split is not None and view.split is not split:
+        pull_out(context, snapshot, SPLIT_GEAR[view.split])
+        return None
+    if change.fire_us is not None:
+        _watch_contact(context, snapshot, gear)
+        return None
+    is_out = abs(view.position_m(Sleeve.SPLITTER)) < context.sheet.sleeve.to_contact_m - CLEAR_M
+    is_moving = bring_to_neutral(context, snapshot, stands=False, sleeves=MINE)
+    falls = _falls_rad_s2(context, snapshot)
+    if is_out and _is_driven(context, snapshot, gear, falls):
+        return None
+    context.clutch = ClutchAction.OPEN
+    is_neutral = abs(view.position_m(Sleeve.SPLITTER)) < VIEW_NEUTRAL_M
+    if is_neutral and not is_moving and view.clutch_parted and falls is not None:
+        _fire_when_due(context, snapshot, gear, falls)
+    return None
+
+
+def is_between(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the sleeve of a splitter with dog teeth is neither in a step nor in neutral."""
+    view = snapshot.view
+    out = abs(view.position_m(Sleeve.SPLITTER)) >= VIEW_NEUTRAL_M
+    return context.sheet.has_dog_splitter and view.split is None and out
+
+
+def _is_over(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether it was fired as often as it may be, or takes too long; a sleeve is not left at the
+    teeth."""
+    limits, change = context.settings.limits, context.running.splitter
+    is_tried = change.attempts >= limits.attempts and change.fire_us is None
+    is_tried = is_tried and not is_between(context, snapshot)
+    raising_ms = limits.raise_ms + limits.synchronise_ms
+    return is_tried or context.late(snapshot, limits.steps_ms + change.drives * raising_ms)
+
+
+def _falls_rad_s2(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
+    """How fast the input shaft falls by itself; None while it is not known."""
+    inputs, speed = context.running.splitter.inputs, snapshot.speeds.input_
+    if speed is None or not snapshot.view.clutch_parted:
+        inputs.clear()
+        return None
+    inputs.append((snapshot.now_us, speed))
+    while snapshot.now_us - inputs[0][0] > FALL_US:
+        del inputs[0]
+    (first_us, first), (last_us, last) = inputs[0], inputs[-1]
+    if last_us - first_us < LEAST_FALL_US:
+        return None
+    return max(0.0, (first - last) / ((last_us - first_us) * US))
+
+
+def _is_driven(
+    context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear, falls_rad_s2: float | None
+) -> bool:
+    """Whether the engine brings the input shaft to the new step's speed, and closes or opens the
+    clutch for it: a shaft that is too slow, or that drag would take too long to slow down."""
+    change, limits = context.running.splitter, context.settings.limits
+    slip, layshaft = snapshot.speeds.slip_rad_s(gear), snapshot.speeds.layshaft
+    if slip is None or layshaft is None:
+        return False
+    wanted = context.settings.window.fire_slip_rad_s
+    if not change.is_driven:
+        if falls_rad_s2 is None or change.drives >= limits.raises:
+            return False
+        ahead_s = context.sheet.sleeve.delay_s + SEEN_LATE_US * US
+        over = -slip - falls_rad_s2 * ahead_s
+        coasted = falls_rad_s2 * limits.coast_ms * MS_IN_US * US
+        if LEAST_SLIP_RAD_S <= over <= wanted + coasted:
+            return False
+        change.is_driven, change.falls_rad_s2 = True, falls_rad_s2
+        change.drives += 1
+    wanted += change.falls_rad_s2 * _lost_s(context)
+    at_step = context.sheet.dog_mesh(gear).ratio * layshaft
+    if _arrives(context, snapshot, at_step + wanted):
+        change.is_driven, context.engine_rad_s = False, None
+        return False
+    context.clutch = ClutchAction.CLOSE
+    speed = at_step + min(wanted, _most_slip(context, gear))
+    usable = context.settings.engine.least_rad_s <= speed <= context.sheet.limits.input_max_rad_s
+    context.engine_rad_s = speed if usable else None
+    return True
+
+
+def _lost_s(context: ShiftContext) -> float:
+    """From the clutch's setting off until a sleeve fired as the plates part comes to its gear."""
+    clutch = context.sheet.clutch
+    return clutch.open_delay_s * (1.0 - clutch.kiss_share) + context.sheet.sleeve.delay_s
+
+
+def _most_slip(context: ShiftContext, gear: SplitGear) -> float:
+    """Above the new step's speed the guard lets the engine be asked for no more."""
+    sheet = context.sheet
+    through = sheet.dog_mesh(gear).ratio / sheet.main_mesh(context.running.target.main).ratio
+    return through * context.settings.guard.slip_high_rad_s - SPEEDS_RAD_S
+
+
+def _arrives(context: ShiftContext, snapshot: StepSnapshot, wanted_rad_s: float) -> bool:
+    """Whether the plates carry the input shaft, and the engine brings it to that speed by the time
+    that they part, if the clutch is opened now."""
+    sheet, speed, engine = context.sheet, snapshot.speeds.input_, snapshot.engine_rad_s
+    if speed is None or engine is None or abs(speed - engine) > CARRIED_RAD_S:
+        return False
+    meeting = max(0.0, (snapshot.view.clutch_closed or 0.0) - sheet.clutch.kiss_share)
+    parting_s = meeting * sheet.clutch.open_delay_s + context.tick_us * US
+    lag_s = sheet.engine.lag_s
+    comes = context.torque.engine_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
+    return -SHORT_RAD_S <= engine + comes - wanted_rad_s <= OVER_RAD_S
+
+
+def _fire_when_due(
+    context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear, falls_rad_s2: float
+) -> None:
+    """Fires so that the slip at contact is `window.fire_slip_rpm`, or what is left of it."""
+    slip, shift = snapshot.speeds.slip_rad_s(gear), context.running
+    if slip is None or -slip < LEAST_SLIP_RAD_S:
+        return
+    fire_us = snapshot.earliest_us
+    contact_us = context.sleeves.stroke(gear, fire_us).contact_us
+    ahead_s = (contact_us - snapshot.now_us + SEEN_LATE_US) * US
+    over = -slip - falls_rad_s2 * ahead_s - context.settings.window.fire_slip_rad_s
+    if over > 0.0:
+        wait_s = over / falls_rad_s2 if falls_rad_s2 > 0.0 else 1.0
+        if wait_s * SECOND_US > context.tick_us:
+            return
+        fire_us += round(wait_s * SECOND_US)
+    shift.splitter.fire_us = fire_us
+    shift.splitter.attempts += 1
+    context.board.schedule(DOG_VALVE[gear], True, fire_us, snapshot.now_us)
+
+
+def _watch_contact(context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear) -> None:
+    """Until the step is in; a sleeve that stands on a tooth for too long goes back."""
+    change, limits, side = context.running.splitter, context.settings.limits, SIDE_OF[gear]
+    fire_us = change.fire_us or 0
+    contact_us = context.sleeves.contact_us(gear, fire_us)
+    way_m = snapshot.view.position_m(Sleeve.SPLITTER) * side.direction
+    is_at_face = way_m < context.sheet.sleeve.to_contact_m + CLEAR_M
+    rests = contact_us is not None and snapshot.now_us - contact_us > limits.face_ms * MS_IN_US
+    late = snapshot.now_us - fire_us > limits.engage_ms * MS_IN_US
+    if (rests and is_at_face) or late:
+        context.board.off(DOG_VALVE[gear])
+        change.fire_us = None
+        change.inputs.clear()

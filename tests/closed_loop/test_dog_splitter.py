@@ -1,0 +1,148 @@
+"""A splitter with dog teeth in the closed loop: each way of changing it, nothing harmful, and what
+the guard forbids a controller that would do harm."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+
+import pytest
+from loop_bench import Loop
+
+from meshpoint.dbc.messages import (
+    ControllerState,
+    EngagementEvent,
+    FaultCode,
+    RigFault,
+    ShiftResult,
+)
+from meshpoint.gearbox import Sleeve, load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS, SplitGear
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.rig_sim.shared.engagement import Engaged
+from meshpoint.units import RPM
+
+DOG = load_sheet("truck12-dog")
+CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
+State = ControllerState
+ACROSS = ((10, 11), (11, 10), (6, 7), (7, 6), (13, 2), (2, 13))
+ALONE = ((12, 11), (11, 12), (1, 2), (2, 1), (13, 14), (14, 13))
+
+
+class Watched:
+    """A loop whose rig's events are kept."""
+
+    def __init__(self, loop: Loop) -> None:
+        self.loop, self.events = loop, list[Engaged]()
+        take = loop.world.take_engaged
+
+        def kept() -> list[Engaged]:
+            found: list[Engaged] = take()
+            self.events += found
+            return found
+
+        loop.world.take_engaged = kept
+
+    @property
+    def split_contacts(self) -> list[Engaged]:
+        return [e for e in self.events if isinstance(e.gear, SplitGear) and e.event in CONTACTS]
+
+
+def ready(from_: int, to: int, seed: int = 1, profile: Profile = Profile.CLEAN) -> Watched:
+    loop = Loop(
+        [(600_000, to)], sheet=DOG, preset=Preset.TRUCK, start_gear=from_, toward=to, seed=seed,
+        profile=profile,
+    )  # fmt: skip
+    return Watched(loop)
+
+
+@functools.cache
+def shift(from_: int, to: int) -> Watched:
+    watched = ready(from_, to)
+    watched.loop.run(7_000_000)
+    return watched
+
+
+@pytest.mark.parametrize(("from_", "to"), ALONE + ACROSS)
+def test_each_change_ends_in_its_gear_and_harms_nothing(from_: int, to: int) -> None:
+    watched = shift(from_, to)
+    (outcome,) = watched.loop.outcomes
+    assert (outcome.result, outcome.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
+    assert outcome.to_gear == to
+    assert watched.loop.violations == 0
+    assert watched.loop.status.guard_blocks == 0
+    lock = watched.loop.world.plant.shafts.split_lock
+    assert lock is not None
+    assert lock.gear.split is DRIVE_GEARS[to].split
+
+
+@pytest.mark.parametrize(("from_", "to"), ALONE + ACROSS)
+def test_its_sleeve_comes_from_above_within_the_guards_window(from_: int, to: int) -> None:
+    """The sleeve turns faster than its gear, by about `window.fire_slip_rpm` at the first
+    contact."""
+    contacts = shift(from_, to).split_contacts
+    assert contacts
+    assert 15.0 * RPM < -contacts[0].slip_rad_s < 80.0 * RPM
+    assert all(-60.0 * RPM < -contact.slip_rad_s < 120.0 * RPM for contact in contacts)
+
+
+@pytest.mark.parametrize(("from_", "to"), ACROSS)
+def test_across_the_main_box_the_input_shaft_stays_in_the_high_step_between(
+    from_: int, to: int
+) -> None:
+    """Into the high step first, out of it last: while the main box is out the splitter is in it."""
+    watched = shift(from_, to)
+    inputs = [e for e in watched.events if isinstance(e.gear, SplitGear)]
+    mains = [e for e in watched.events if e.gear and not isinstance(e.gear, SplitGear)]
+    split_us = next(e.time_us for e in inputs if e.event is EngagementEvent.LOCKED)
+    main_us = next(
+        e.time_us for e in mains if (e.event, e.gear) == (
+            EngagementEvent.LOCKED, DRIVE_GEARS[to].main
+        )
+    )  # fmt: skip
+    is_up = DRIVE_GEARS[to].split == 1
+    assert (split_us < main_us) == is_up
+
+
+def test_a_jammed_splitter_ends_the_shift_in_its_old_gear() -> None:
+    watched = ready(12, 11)
+    watched.loop.fault(RigFault.SLEEVE_JAMMED, int(Sleeve.SPLITTER))
+    watched.loop.run(16_000_000)
+    (outcome,) = watched.loop.outcomes
+    assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
+    assert outcome.fault is FaultCode.SPLITTER_FAILED
+    assert watched.loop.violations == 0
+
+
+def test_a_splitter_that_a_fault_left_in_neutral_is_brought_in_by_the_next_request() -> None:
+    """In gear, so that something turns the layshaft."""
+    watched = ready(11, 12)
+    loop = watched.loop
+    loop.run_to_state(State.SPLITTER_CHANGING, 2_000_000)
+    loop.until(lambda: abs(loop.core._sequence.shift.splitter.drives) > 0, 3_000_000)
+    loop.fault(RigFault.ENGINE_DEAF, for_us=9_000_000)
+    loop.run(12_000_000)
+    assert loop.outcomes[-1].fault is FaultCode.SPLITTER_FAILED
+    loop.operator.ask(11, 14_000_000)
+    loop.run(20_000_000)
+    assert loop.outcomes[-1].result is ShiftResult.ENGAGED
+    assert loop.violations == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_typical_gearbox_changes_it_too(seed: int) -> None:
+    pairs: Sequence[tuple[int, int]] = ((11, 12), (12, 11), (10, 11))
+    watched = ready(*pairs[seed], seed=20 + seed, profile=Profile.TYPICAL)
+    watched.loop.run(8_000_000)
+    assert watched.loop.outcomes[-1].result is ShiftResult.ENGAGED
+    assert watched.loop.violations == 0
+
+
+def test_a_strike_of_the_input_shaft_alone_costs_little() -> None:
+    """J_IS dw^2 / 2 at 80 rpm is 3.9 J: no more, whatever a strike into the vehicle's gear costs."""
+    locked = [e for e in shift(11, 12).events if e.event is EngagementEvent.LOCKED]
+    most = 0.5 * DOG.shafts.input_inertia_kgm2 * (80.0 * RPM) ** 2
+    spent = sum(e.tally.impact_j for e in locked if isinstance(e.gear, SplitGear))
+    assert 0.0 < spent < most
+    assert math.isfinite(spent)
