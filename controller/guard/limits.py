@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
+from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming, splitter_ms
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
 
@@ -356,13 +356,5 @@ def longest_shift_us(settings: ControllerSettings, sheet: GearboxSheet) -> int:
         + limits.steps_ms
         + (limits.raises + 1) * raised_ms
         + limits.attempts * tried_ms
-        + splitter_ms(settings, sheet)
+        + (splitter_ms(settings) if sheet.has_dog_splitter else 0)
     )
-
-
-def splitter_ms(settings: ControllerSettings, sheet: GearboxSheet) -> int:
-    """How long a change of a splitter with dog teeth may take, ms; 0 where it has none."""
-    limits = settings.limits
-    if not sheet.has_dog_splitter:
-        return 0
-    return limits.steps_ms + (limits.raises + 1) * (limits.raise_ms + limits.synchronise_ms)

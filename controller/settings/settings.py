@@ -449,3 +449,9 @@ def load_settings(path: Path | None, **overrides: Any) -> ControllerSettings:
     TableError names file, key, found and allowed."""
     given = {key: value for key, value in overrides.items() if value is not None}
     return dataclasses.replace(load_settings_file(path).settings, **given)
+
+
+def splitter_ms(settings: ControllerSettings) -> int:
+    """How long a change of a splitter with dog teeth may take, ms."""
+    limits = settings.limits
+    return limits.steps_ms + limits.raise_ms + limits.synchronise_ms

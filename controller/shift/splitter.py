@@ -14,10 +14,10 @@ the gear's speed, where it would stick.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
-from meshpoint.controller.settings.settings import MS_IN_US, SPEEDS_RAD_S
+from meshpoint.controller.settings.settings import MS_IN_US, SPEEDS_RAD_S, splitter_ms
 from meshpoint.controller.settings.valve_name import DOG_VALVE
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import CLEAR_M, bring_to_neutral, pull_out
@@ -34,10 +34,23 @@ MINE: Final = (Sleeve.SPLITTER,)
 FALL_US: Final = 100 * MS_IN_US
 """How fast the input shaft falls is taken over so long."""
 LEAST_FALL_US: Final = 30 * MS_IN_US
+SWING_US: Final = 180 * MS_IN_US
+"""In so long a driveline has swung to both its ends: with a gear in the layshaft swings with it."""
 SEEN_LATE_US: Final = 15 * MS_IN_US
 """A measured speed is so old on the average."""
 LEAST_SLIP_RAD_S: Final = 20.0 * RPM
 """With less slip at contact a tooth may stick on a tooth at once: the engine raises the shaft."""
+
+
+class Meeting(NamedTuple):
+    """Input shaft and new step, rad/s: how much faster the sleeve turns than the gear."""
+
+    slip: float
+    """By the layshaft's mean speed over a swing of the driveline."""
+    swing: float
+    """By so much the gear swings about that."""
+    falls_rad_s2: float | None
+    """How fast the input shaft falls by itself; None while that is not known."""
 
 
 def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
@@ -50,6 +63,7 @@ def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigge
         return leg_done(context, snapshot)
     if _is_over(context, snapshot):
         return context.give_up(snapshot, FaultCode.SPLITTER_FAILED)
+    meeting = _meeting(context, snapshot, gear)
     if view.split is not None and view.split is not split:
         pull_out(context, snapshot, SPLIT_GEAR[view.split])
         return None
@@ -58,13 +72,12 @@ def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigge
         return None
     is_out = abs(view.position_m(Sleeve.SPLITTER)) < context.sheet.sleeve.to_contact_m - CLEAR_M
     is_moving = bring_to_neutral(context, snapshot, stands=False, sleeves=MINE)
-    falls = _falls_rad_s2(context, snapshot)
-    if is_out and _is_driven(context, snapshot, gear, falls):
+    if meeting is None or (is_out and _is_driven(context, snapshot, gear, meeting)):
         return None
     context.clutch = ClutchAction.OPEN
     is_neutral = abs(view.position_m(Sleeve.SPLITTER)) < VIEW_NEUTRAL_M
-    if is_neutral and not is_moving and view.clutch_parted and falls is not None:
-        _fire_when_due(context, snapshot, gear, falls)
+    if is_neutral and not is_moving and view.clutch_parted:
+        _fire_when_due(context, snapshot, gear, meeting)
     return None
 
 
@@ -81,47 +94,65 @@ def _is_over(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     limits, change = context.settings.limits, context.running.splitter
     is_tried = change.attempts >= limits.attempts and change.fire_us is None
     is_tried = is_tried and not is_between(context, snapshot)
-    raising_ms = limits.raise_ms + limits.synchronise_ms
-    return is_tried or context.late(snapshot, limits.steps_ms + change.drives * raising_ms)
+    return is_tried or context.late(snapshot, splitter_ms(context.settings))
 
 
-def _falls_rad_s2(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
-    """How fast the input shaft falls by itself; None while it is not known."""
-    inputs, speed = context.running.splitter.inputs, snapshot.speeds.input_
-    if speed is None or not snapshot.view.clutch_parted:
-        inputs.clear()
+def _meeting(context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear) -> Meeting | None:
+    """How the two meet, from this step's speeds and those before; None where one is not known."""
+    speeds, change, now_us = snapshot.speeds, context.running.splitter, snapshot.now_us
+    if speeds.input_ is None or speeds.layshaft is None:
         return None
-    inputs.append((snapshot.now_us, speed))
-    while snapshot.now_us - inputs[0][0] > FALL_US:
+    change.layshafts.append((now_us, speeds.layshaft))
+    while now_us - change.layshafts[0][0] > SWING_US:
+        del change.layshafts[0]
+    if snapshot.view.clutch_parted:
+        change.inputs.append((now_us, speeds.input_))
+    else:
+        change.inputs.clear()
+    ratio = context.sheet.dog_mesh(gear).ratio
+    turning = [speed for _, speed in change.layshafts]
+    mean, swing = sum(turning) / len(turning), 0.5 * (max(turning) - min(turning))
+    falls = _falls_rad_s2(change.inputs)
+    return Meeting(speeds.input_ - ratio * mean, ratio * swing, falls)
+
+
+def _falls_rad_s2(inputs: list[tuple[int, float]]) -> float | None:
+    """How fast the input shaft falls, by its speeds since it has turned alone."""
+    while inputs and inputs[-1][0] - inputs[0][0] > FALL_US:
         del inputs[0]
-    (first_us, first), (last_us, last) = inputs[0], inputs[-1]
-    if last_us - first_us < LEAST_FALL_US:
+    if not inputs or inputs[-1][0] - inputs[0][0] < LEAST_FALL_US:
         return None
+    (first_us, first), (last_us, last) = inputs[0], inputs[-1]
     return max(0.0, (first - last) / ((last_us - first_us) * US))
 
 
+def _wanted_slip(context: ShiftContext, meeting: Meeting) -> float:
+    """The slip wanted at contact: enough for a gap to come by also as the driveline swings, and no
+    more than the guard lets pass."""
+    high = context.settings.guard.slip_high_rad_s - SPEEDS_RAD_S - meeting.swing
+    least = LEAST_SLIP_RAD_S + meeting.swing
+    return min(max(context.settings.window.fire_slip_rad_s, least), high)
+
+
 def _is_driven(
-    context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear, falls_rad_s2: float | None
+    context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear, meeting: Meeting
 ) -> bool:
     """Whether the engine brings the input shaft to the new step's speed, and closes or opens the
     clutch for it: a shaft that is too slow, or that drag would take too long to slow down."""
     change, limits = context.running.splitter, context.settings.limits
-    slip, layshaft = snapshot.speeds.slip_rad_s(gear), snapshot.speeds.layshaft
-    if slip is None or layshaft is None:
-        return False
-    wanted = context.settings.window.fire_slip_rad_s
+    wanted = _wanted_slip(context, meeting)
     if not change.is_driven:
-        if falls_rad_s2 is None or change.drives >= limits.raises:
+        falls = meeting.falls_rad_s2
+        if falls is None or change.drives >= limits.raises:
             return False
-        ahead_s = context.sheet.sleeve.delay_s + SEEN_LATE_US * US
-        over = -slip - falls_rad_s2 * ahead_s
-        coasted = falls_rad_s2 * limits.coast_ms * MS_IN_US * US
+        over = meeting.slip - falls * (context.sheet.sleeve.delay_s + SEEN_LATE_US * US)
+        coasted = falls * limits.coast_ms * MS_IN_US * US
         if LEAST_SLIP_RAD_S <= over <= wanted + coasted:
             return False
-        change.is_driven, change.falls_rad_s2 = True, falls_rad_s2
+        change.is_driven, change.falls_rad_s2 = True, falls
         change.drives += 1
     wanted += change.falls_rad_s2 * _lost_s(context)
-    at_step = context.sheet.dog_mesh(gear).ratio * layshaft
+    at_step = (snapshot.speeds.input_ or 0.0) - meeting.slip
     if _arrives(context, snapshot, at_step + wanted):
         change.is_driven, context.engine_rad_s = False, None
         return False
@@ -159,23 +190,24 @@ def _arrives(context: ShiftContext, snapshot: StepSnapshot, wanted_rad_s: float)
 
 
 def _fire_when_due(
-    context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear, falls_rad_s2: float
+    context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear, meeting: Meeting
 ) -> None:
-    """Fires so that the slip at contact is `window.fire_slip_rpm`, or what is left of it."""
-    slip, shift = snapshot.speeds.slip_rad_s(gear), context.running
-    if slip is None or -slip < LEAST_SLIP_RAD_S:
+    """Fires so that the slip at contact is the one wanted, or what is left of it."""
+    shift, falls = context.running, meeting.falls_rad_s2
+    if falls is None or meeting.slip < LEAST_SLIP_RAD_S:
         return
     fire_us = snapshot.earliest_us
     contact_us = context.sleeves.stroke(gear, fire_us).contact_us
     ahead_s = (contact_us - snapshot.now_us + SEEN_LATE_US) * US
-    over = -slip - falls_rad_s2 * ahead_s - context.settings.window.fire_slip_rad_s
+    over = meeting.slip - falls * ahead_s - _wanted_slip(context, meeting)
     if over > 0.0:
-        wait_s = over / falls_rad_s2 if falls_rad_s2 > 0.0 else 1.0
+        wait_s = over / falls if falls > 0.0 else math.inf
         if wait_s * SECOND_US > context.tick_us:
             return
         fire_us += round(wait_s * SECOND_US)
     shift.splitter.fire_us = fire_us
     shift.splitter.attempts += 1
+    shift.splitter.drives = 0
     context.board.schedule(DOG_VALVE[gear], True, fire_us, snapshot.now_us)
 
 

@@ -122,11 +122,13 @@ class SplitterChange:
 
     inputs: list[tuple[int, float]] = field(default_factory=list)
     """The input shaft's speeds (us, rad/s) since it has turned alone."""
+    layshafts: list[tuple[int, float]] = field(default_factory=list)
+    """The layshaft's, over a swing of the driveline."""
     fire_us: int | None = None
     """When its sleeve was fired into the new step; None: it is not on its way there."""
     attempts: int = 0
     drives: int = 0
-    """How often the engine was to bring the input shaft to the new step's speed."""
+    """How often the engine was to bring the input shaft to the new step's speed, for an attempt."""
     is_driven: bool = False
     """Whether it does so."""
     falls_rad_s2: float = 0.0

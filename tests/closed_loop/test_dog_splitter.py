@@ -140,7 +140,7 @@ def test_a_typical_gearbox_changes_it_too(seed: int) -> None:
 
 
 def test_a_strike_of_the_input_shaft_alone_costs_little() -> None:
-    """J_IS dw^2 / 2 at 80 rpm is 3.9 J: no more, whatever a strike into the vehicle's gear costs."""
+    """J_IS dw^2 / 2 at 80 rpm is 3.9 J."""
     locked = [e for e in shift(11, 12).events if e.event is EngagementEvent.LOCKED]
     most = 0.5 * DOG.shafts.input_inertia_kgm2 * (80.0 * RPM) ** 2
     spent = sum(e.tally.impact_j for e in locked if isinstance(e.gear, SplitGear))

@@ -146,7 +146,7 @@ def test_the_splitters_valves_are_those_of_a_sleeve_with_dog_teeth() -> None:
     ratios = {valve: each.ratio for valve, each in dog.splitter.items()}
     assert ratios == pytest.approx({1: 43 / 33, 2: 37 / 35})
     assert dog.main == limits().main
-    longer_us = 1000 * (1500 + 4 * (2000 + 2000))
+    longer_us = 1000 * (1500 + 2000 + 2000)
     assert dog.request_us - limits().request_us == longer_us
 
 
