@@ -1,6 +1,7 @@
 """The rows of the table: what is changed from an ordinary campaign, and why it is looked at.
 
-A row is a campaign of the sheet `truck12`. To add one, add it here; nothing else has to change.
+A row is a campaign of the sheet `truck12`, or of one that is named. To add one, add it here;
+nothing else has to change.
 """
 
 from __future__ import annotations
@@ -219,6 +220,26 @@ KINDS: Final = Group(
             words=steps([*NEIGHBOURS, *((b, a) for a, b in NEIGHBOURS)])),
     ),
 )  # fmt: skip
+SPLIT_UP: Final = tuple((a, b) for a, b in changes({"split"}, 0) if a < b)
+ACROSS_UP: Final = changes({"split", "main"}, 1)
+ACROSS_DOWN: Final = changes({"split", "main"}, -1)
+DOG_SPLITTER: Final = Group(
+    "A splitter with dog teeth",
+    "Sheet `truck12-dog`, profile `typical`. The splitter's sleeve is fired by its speed, not "
+    "aimed; in a change of both, first in gap is the main gear's and J that of both.",
+    (
+        Row("dog_split_up", "splitter alone, up", "the engine slows the input shaft down",
+            sheet="truck12-dog", words=steps(SPLIT_UP)),
+        Row("dog_split_down", "splitter alone, down", "the engine raises it",
+            sheet="truck12-dog", words=steps((b, a) for a, b in SPLIT_UP)),
+        Row("dog_across_up", "splitter and main gear, up", "one after the other",
+            sheet="truck12-dog", words=steps(ACROSS_UP)),
+        Row("dog_across_down", "splitter and main gear, down", "the same",
+            sheet="truck12-dog", words=steps(ACROSS_DOWN)),
+        Row("dog_all_gears", "each of the 14 gears to the next, up and down", "as in driving",
+            sheet="truck12-dog", words=steps([*NEIGHBOURS, *((b, a) for a, b in NEIGHBOURS)])),
+    ),
+)  # fmt: skip
 LEARNING: Final = Group(
     "Shifts to learn",
     "Profile `typical`; elsewhere six, five on `clean`.",
@@ -246,6 +267,6 @@ TICKS: Final = Group(
         for ms, why in ((5, "every other step has no new read"), (20, "a slower node"))
     ),
 )
-GROUPS: Final = (PROFILES, DEVIATIONS, WORK, SHEETS, KINDS, LEARNING, RESTS, TICKS)
+GROUPS: Final = (PROFILES, DEVIATIONS, WORK, SHEETS, KINDS, DOG_SPLITTER, LEARNING, RESTS, TICKS)
 ROWS: Final = {row.name: row for group in GROUPS for row in group.rows}
 """By name, in the table's order."""

@@ -4,7 +4,7 @@ was set going, and since when it stands before a gear's teeth."""
 from __future__ import annotations
 
 from meshpoint.controller.guard.case import GuardState, JudgedCommand
-from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, GuardLimits
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, SPLITTER, GuardLimits
 from meshpoint.controller.guard.view import GuardInputs
 
 
@@ -47,7 +47,9 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
 def _note_pulled(
     state: GuardState, seen: GuardInputs, limits: GuardLimits, sleeve: int, *, stands: bool
 ) -> None:
-    """A gear that is pulled, or was and is still measured in."""
+    """A gear of the main box that is pulled, or was and is still measured in."""
+    if sleeve == SPLITTER:
+        return
     gear = state.pulled[sleeve]
     if abs(seen.positions_m[sleeve]) <= limits.in_mesh_m:
         gear.forget()

@@ -134,14 +134,14 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: DogGear) -> No
         shift.pull_again_us = pulse.off_us + max(PULL_PAUSE_US, _shows_us(context, snapshot, gear))
 
 
-def _shows_us(context: ShiftContext, snapshot: StepSnapshot, gear: MainGear) -> int:
+def _shows_us(context: ShiftContext, snapshot: StepSnapshot, gear: DogGear) -> int:
     """So long after a pull its shafts show a gear that has come out though its sleeve's sensor does
     not: drag has turned it by `free_rad`. Pulled sooner, the sleeve would go on to the opposite
     gear."""
     sheet, layshaft = context.sheet, snapshot.speeds.layshaft or 0.0
     split = snapshot.view.split or context.running.target.split
     drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(split)
-    turned_rad = sheet.dog.free_rad / sheet.main_mesh(gear).ratio
+    turned_rad = sheet.dog.free_rad / sheet.dog_mesh(gear).ratio
     turns_s = math.sqrt(2.0 * turned_rad / max(drag_rad_s2, LEAST_DRAG_RAD_S2))
     return SHOWS_US + round(turns_s * SECOND_US)
 

@@ -25,7 +25,7 @@ from meshpoint.controller.shift.engine import CARRIED_RAD_S, OVER_RAD_S, SHORT_R
 from meshpoint.controller.shift.legs import leg_done
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import ClutchAction, FaultCode
+from meshpoint.dbc.messages import ClutchAction, FaultCode, Strategy
 from meshpoint.gearbox import Sleeve
 from meshpoint.gearbox.gears import SIDE_OF, SPLIT_GEAR, SplitGear
 from meshpoint.units import RPM, SECOND_US, US
@@ -58,8 +58,9 @@ def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigge
     shift, split, view = context.running, context.running.target.split, snapshot.view
     change, gear = shift.splitter, SPLIT_GEAR[split]
     if view.split is split and snapshot.speeds.split_turns_together(split):
-        if shift.attempts == 0:
+        if shift.attempts == 0:  # so far this is the whole shift
             shift.attempts, shift.first_fire_us = change.attempts, change.fire_us
+            shift.strategy = Strategy.SPEED_WINDOW
         return leg_done(context, snapshot)
     if _is_over(context, snapshot):
         return context.give_up(snapshot, FaultCode.SPLITTER_FAILED)

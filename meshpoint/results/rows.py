@@ -35,6 +35,8 @@ ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
 SOURCES: Final = ("measured", "restored", "narrowed")
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
 OVER: Final = (*ENDS, EngagementEvent.RELEASED)
+OF_TEETH: Final = (*CONTACT_KINDS, *OVER, EngagementEvent.TOOTH_PASSED, EngagementEvent.BLOCKED)
+"""With the gear neutral they are of a splitter with dog teeth."""
 LOCK_WAIT_US: Final = 400_000
 """A row waits so long after its shift's end for its gear to lock, since a sleeve may be measured in
 before the tooth has met its flank. The clutch's plates have met by then, or there are none."""
@@ -133,14 +135,13 @@ class RowCollector:
         is_late = span_us(event.event_time_us, self.rows[-1].end_us) > LOCK_WAIT_US
         if is_late or (event.gear, event.event) == (meeting.gear, EngagementEvent.RELEASED):
             self._meeting = None
-        elif event.gear == meeting.gear:
+        elif event.gear == meeting.gear and event.event in OF_TEETH:
             meeting.events.append(event)
             self.rows[-1] = replace(self.rows[-1], **meeting.cost()._asdict())
             self._meeting = None if meeting.is_over else meeting
 
     def _ended(self, outcome: ShiftOutcome) -> None:
-        gear = MainGear(DRIVE_GEARS[outcome.to_gear].main)
-        meeting = _Meeting(gear, [event for event in self._events if event.gear == gear])
+        meeting = _meeting(outcome, self._events)
         self._closing_since_us = closing_since_us(self._events, outcome.end_time_us)
         self.rows.append(self._row(outcome, meeting))
         self._meeting = None if meeting.is_over else meeting
@@ -148,8 +149,9 @@ class RowCollector:
 
     def _is_outside(self, event: ReferenceEngagement) -> bool:
         """Whether a sleeve has met a gear that turns too fast against it, whatever sent it
-        there."""
-        return event.event in CONTACT_KINDS and self._settings.guard.is_outside(event.slip_rad_s)
+        there. Of a splitter's the sleeve is the one that turns faster."""
+        slip = -event.slip_rad_s if event.gear is MainGear.NEUTRAL else event.slip_rad_s
+        return event.event in CONTACT_KINDS and self._settings.guard.is_outside(slip)
 
     def _plates_met(self, time_us: int) -> None:
         """The clutch of the last shift is closing: its row has all its parts."""
@@ -215,7 +217,10 @@ class _Meeting(NamedTuple):
     """What the rig has reported of sleeve and gear in one shift."""
 
     gear: MainGear
+    """Neutral where it is a splitter with dog teeth alone."""
     events: list[ReferenceEngagement]
+    beside: tuple[ReferenceEngagement, ...] = ()
+    """Of a splitter with dog teeth that the shift has changed, too: what it strikes counts."""
 
     @property
     def first_contact(self) -> ReferenceEngagement | None:
@@ -242,13 +247,27 @@ class _Meeting(NamedTuple):
             # A gear that has not locked has struck nothing; in logs of an older rig it has the old
             # gear's impact, where the sleeve was pulled through.
             impact_j=sum(
-                end.impact_energy_j for end in ends if end.event is EngagementEvent.LOCKED
+                end.impact_energy_j
+                for end in (*ends, *self.beside)
+                if end.event is EngagementEvent.LOCKED
             ),
             impact_complete=self.is_over,
             face_ms=max(on_face_us, sum(end.face_time_us for end in ends)) / 1000,
             ratchets=sum(end.ratchets for end in ends),
             blocked=sum(end.blocked for end in ends),
         )
+
+
+def _meeting(outcome: ShiftOutcome, events: list[ReferenceEngagement]) -> _Meeting:
+    """What gear and sleeve of a shift have done: those of the main box, or of the splitter where it
+    alone has changed."""
+    before, after = DRIVE_GEARS.get(outcome.from_gear), DRIVE_GEARS[outcome.to_gear]
+    gear, neutral = MainGear(after.main), MainGear.NEUTRAL
+    found = [event for event in events if event.gear == gear]
+    splits = [each for each in events if each.gear == neutral and each.event in OF_TEETH]
+    if before is not None and (before.main, before.range_) == (after.main, after.range_):
+        return _Meeting(neutral, splits) if splits else _Meeting(gear, found)
+    return _Meeting(gear, found, tuple(splits))
 
 
 @dataclass(frozen=True)
