@@ -18,6 +18,7 @@ from meshpoint.controller.guard.limits import (
     GUARD_NEUTRAL_M,
     LEAVING_M_S,
     REACT_US,
+    SPLITTER,
     GuardLimits,
     end_of,
 )
@@ -54,7 +55,6 @@ brings a sleeve to neutral and one that throws it through."""
 LEAST_PUSH_US: Final = 7_000
 """A push towards neutral may last as long as this wherever the sleeve stands: a shorter one may
 leave it there."""
-SPLITTER: Final = 2
 RANGE: Final = 3
 
 

@@ -19,7 +19,6 @@ from meshpoint.controller.guard.case import (
     FRAME_LENGTH,
     MAIN_VALVES,
     NO_SPANS,
-    SPLITTER,
     VALVE_COUNT,
     GuardState,
     JudgedCommand,
@@ -37,6 +36,7 @@ from meshpoint.controller.guard.limits import (
     GUARD_NEUTRAL_M,
     REACT_US,
     SLIP_MARGIN_RAD_S,
+    SPLITTER,
     GuardLimits,
 )
 from meshpoint.controller.guard.sleeve_memory import note_sleeves, remember_drives

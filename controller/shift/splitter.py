@@ -21,7 +21,7 @@ from meshpoint.controller.settings.settings import MS_IN_US, SPEEDS_RAD_S, split
 from meshpoint.controller.settings.valve_name import DOG_VALVE
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import CLEAR_M, bring_to_neutral, pull_out
-from meshpoint.controller.shift.engine import CARRIED_RAD_S, OVER_RAD_S, SHORT_RAD_S
+from meshpoint.controller.shift.engine import CARRIED_RAD_S, SHORT_RAD_S
 from meshpoint.controller.shift.legs import leg_done
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
@@ -39,7 +39,11 @@ SWING_US: Final = 180 * MS_IN_US
 SEEN_LATE_US: Final = 15 * MS_IN_US
 """A measured speed is so old on the average."""
 LEAST_SLIP_RAD_S: Final = 20.0 * RPM
-"""With less slip at contact a tooth may stick on a tooth at once: the engine raises the shaft."""
+"""With less slip a sleeve is not fired: a tooth that meets a tooth would stick on it at once."""
+SLACK_RAD_S: Final = 15.0 * RPM
+"""The slip at contact may be so much less than wanted: what a drive by the engine comes out at."""
+MOST_FRICTION: Final = 0.16
+"""Of tooth on tooth, in oil: 0.06 to 0.16 are published."""
 
 
 class Meeting(NamedTuple):
@@ -112,7 +116,7 @@ def _meeting(context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear) -> 
         change.inputs.clear()
     ratio = context.sheet.dog_mesh(gear).ratio
     turning = [speed for _, speed in change.layshafts]
-    mean, swing = sum(turning) / len(turning), 0.5 * (max(turning) - min(turning))
+    mean, swing = math.fsum(turning) / len(turning), 0.5 * (max(turning) - min(turning))
     falls = _falls_rad_s2(change.inputs)
     return Meeting(speeds.input_ - ratio * mean, ratio * swing, falls)
 
@@ -128,11 +132,15 @@ def _falls_rad_s2(inputs: list[tuple[int, float]]) -> float | None:
 
 
 def _wanted_slip(context: ShiftContext, meeting: Meeting) -> float:
-    """The slip wanted at contact: enough for a gap to come by also as the driveline swings, and no
-    more than the guard lets pass."""
+    """The slip wanted at contact: a tooth that meets a tooth passes its whole face before friction
+    there has brought the input shaft to the gear's speed, dw^2 = 2 (mu F r / J_IS) (p - b), also as
+    the driveline swings; and no more than the guard lets pass."""
+    sheet, dog = context.sheet, context.sheet.teeth_of(Sleeve.SPLITTER)
+    force_n = sheet.air.supply_gauge_pa * sheet.sleeve.bore_m2
+    slowed_rad_s2 = MOST_FRICTION * force_n * dog.radius_m / sheet.shafts.input_inertia_kgm2
+    passes = math.sqrt(2.0 * slowed_rad_s2 * (dog.pitch_rad - dog.backlash_rad))
     high = context.settings.guard.slip_high_rad_s - SPEEDS_RAD_S - meeting.swing
-    least = LEAST_SLIP_RAD_S + meeting.swing
-    return min(max(context.settings.window.fire_slip_rad_s, least), high)
+    return min(max(context.settings.window.fire_slip_rad_s, passes + meeting.swing), high)
 
 
 def _is_driven(
@@ -148,14 +156,15 @@ def _is_driven(
             return False
         over = meeting.slip - falls * (context.sheet.sleeve.delay_s + SEEN_LATE_US * US)
         coasted = falls * limits.coast_ms * MS_IN_US * US
-        if LEAST_SLIP_RAD_S <= over <= wanted + coasted:
+        if wanted - SLACK_RAD_S <= over <= wanted + coasted:
             return False
         change.is_driven, change.falls_rad_s2 = True, falls
         change.drives += 1
-    wanted += change.falls_rad_s2 * _lost_s(context)
+    wanted += change.falls_rad_s2 * _lost_s(context) + SHORT_RAD_S
     at_step = (snapshot.speeds.input_ or 0.0) - meeting.slip
     if _arrives(context, snapshot, at_step + wanted):
-        change.is_driven, context.engine_rad_s = False, None
+        # The engine keeps that speed until the step is in: it would take the shaft along.
+        change.is_driven = False
         return False
     context.clutch = ClutchAction.CLOSE
     speed = at_step + min(wanted, _most_slip(context, gear))
@@ -187,7 +196,7 @@ def _arrives(context: ShiftContext, snapshot: StepSnapshot, wanted_rad_s: float)
     parting_s = meeting * sheet.clutch.open_delay_s + context.tick_us * US
     lag_s = sheet.engine.lag_s
     comes = context.torque.engine_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
-    return -SHORT_RAD_S <= engine + comes - wanted_rad_s <= OVER_RAD_S
+    return abs(engine + comes - wanted_rad_s) <= SHORT_RAD_S
 
 
 def _fire_when_due(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,7 +34,7 @@ def legs(from_: int, to: int) -> list[int]:
 def test_no_more_than_two_legs_each_of_one_change(from_: int, to: int) -> None:
     way = [from_, *legs(from_, to)]
     assert len(way) <= 3
-    for one, other in zip(way, way[1:], strict=False):
+    for one, other in itertools.pairwise(way):
         a, b = DRIVE_GEARS[one], DRIVE_GEARS[other]
         assert (a.split is not b.split) != ((a.main, a.range_) != (b.main, b.range_))
 
