@@ -53,6 +53,8 @@ class Meeting(NamedTuple):
     """By the layshaft's mean speed over a swing of the driveline."""
     swing: float
     """By so much the gear swings about that."""
+    step_rad_s: float
+    """The gear's speed, as a mean."""
     falls_rad_s2: float | None
     """How fast the input shaft falls by itself; None while that is not known."""
 
@@ -80,6 +82,9 @@ def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigge
     if meeting is None or (is_out and _is_driven(context, snapshot, gear, meeting)):
         return None
     context.clutch = ClutchAction.OPEN
+    if context.engine_rad_s is not None:
+        # It goes on at that speed until the step is in: it would take the shaft along.
+        _ask_engine(context, gear, meeting.step_rad_s, _wanted_slip(context, meeting))
     is_neutral = abs(view.position_m(Sleeve.SPLITTER)) < VIEW_NEUTRAL_M
     if is_neutral and not is_moving and view.clutch_parted:
         _fire_when_due(context, snapshot, gear, meeting)
@@ -118,7 +123,7 @@ def _meeting(context: ShiftContext, snapshot: StepSnapshot, gear: SplitGear) -> 
     turning = [speed for _, speed in change.layshafts]
     mean, swing = math.fsum(turning) / len(turning), 0.5 * (max(turning) - min(turning))
     falls = _falls_rad_s2(change.inputs)
-    return Meeting(speeds.input_ - ratio * mean, ratio * swing, falls)
+    return Meeting(speeds.input_ - ratio * mean, ratio * swing, ratio * mean, falls)
 
 
 def _falls_rad_s2(inputs: list[tuple[int, float]]) -> float | None:
@@ -139,8 +144,13 @@ def _wanted_slip(context: ShiftContext, meeting: Meeting) -> float:
     force_n = sheet.air.supply_gauge_pa * sheet.sleeve.bore_m2
     slowed_rad_s2 = MOST_FRICTION * force_n * dog.radius_m / sheet.shafts.input_inertia_kgm2
     passes = math.sqrt(2.0 * slowed_rad_s2 * (dog.pitch_rad - dog.backlash_rad))
-    high = context.settings.guard.slip_high_rad_s - SPEEDS_RAD_S - meeting.swing
-    return min(max(context.settings.window.fire_slip_rad_s, passes + meeting.swing), high)
+    least = max(context.settings.window.fire_slip_rad_s, passes + meeting.swing)
+    return min(least, _highest_slip(context, meeting))
+
+
+def _highest_slip(context: ShiftContext, meeting: Meeting) -> float:
+    """The guard surely lets a sleeve go on at no more."""
+    return context.settings.guard.slip_high_rad_s - SPEEDS_RAD_S - meeting.swing
 
 
 def _is_driven(
@@ -156,21 +166,26 @@ def _is_driven(
             return False
         over = meeting.slip - falls * (context.sheet.sleeve.delay_s + SEEN_LATE_US * US)
         coasted = falls * limits.coast_ms * MS_IN_US * US
-        if wanted - SLACK_RAD_S <= over <= wanted + coasted:
+        if wanted - SLACK_RAD_S <= over <= max(wanted + coasted, _highest_slip(context, meeting)):
             return False
         change.is_driven, change.falls_rad_s2 = True, falls
         change.drives += 1
     wanted += change.falls_rad_s2 * _lost_s(context) + SHORT_RAD_S
-    at_step = (snapshot.speeds.input_ or 0.0) - meeting.slip
-    if _arrives(context, snapshot, at_step + wanted):
-        # The engine keeps that speed until the step is in: it would take the shaft along.
+    if _arrives(context, snapshot, meeting.step_rad_s + wanted):
         change.is_driven = False
         return False
     context.clutch = ClutchAction.CLOSE
-    speed = at_step + min(wanted, _most_slip(context, gear))
+    _ask_engine(context, gear, meeting.step_rad_s, wanted)
+    return True
+
+
+def _ask_engine(
+    context: ShiftContext, gear: SplitGear, step_rad_s: float, wanted_rad_s: float
+) -> None:
+    """Asks the engine for so much above the new step's speed, where that is allowed."""
+    speed = step_rad_s + min(wanted_rad_s, _most_slip(context, gear))
     usable = context.settings.engine.least_rad_s <= speed <= context.sheet.limits.input_max_rad_s
     context.engine_rad_s = speed if usable else None
-    return True
 
 
 def _lost_s(context: ShiftContext) -> float:
@@ -209,12 +224,14 @@ def _fire_when_due(
     fire_us = snapshot.earliest_us
     contact_us = context.sleeves.stroke(gear, fire_us).contact_us
     ahead_s = (contact_us - snapshot.now_us + SEEN_LATE_US) * US
-    over = meeting.slip - falls * ahead_s - _wanted_slip(context, meeting)
-    if over > 0.0:
-        wait_s = over / falls if falls > 0.0 else math.inf
-        if wait_s * SECOND_US > context.tick_us:
+    met, wanted = meeting.slip - falls * ahead_s, _wanted_slip(context, meeting)
+    wait_us = SECOND_US * (met - wanted) / falls if falls > 0.0 else math.inf
+    is_soon = wait_us <= context.settings.limits.coast_ms * MS_IN_US
+    if met > wanted and (is_soon or met > _highest_slip(context, meeting)):
+        # Where the plates hold the shaft up, some slip more costs less than the wait.
+        if wait_us > context.tick_us:
             return
-        fire_us += round(wait_s * SECOND_US)
+        fire_us += round(wait_us)
     shift.splitter.fire_us = fire_us
     shift.splitter.attempts += 1
     shift.splitter.drives = 0

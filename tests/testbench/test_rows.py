@@ -276,3 +276,26 @@ def test_a_sleeve_that_is_back_or_never_met_its_gear_has_nothing_to_wait_for() -
     failed = outcome(result=ShiftResult.ENDED_IN_NEUTRAL)
     for row in (*rows_of(contact(3.0), back, failed), *rows_of(outcome())):
         assert row.impact_complete
+
+
+def split_event(
+    event: EngagementEvent, at_us: int, slip_rpm: float = -50.0, energy_j: float = 0.0
+) -> ReferenceEngagement:
+    """Of a splitter with dog teeth: the gear is neutral, the drive gear says its step."""
+    return ReferenceEngagement(
+        at_us, event, MainGear.NEUTRAL, 1.0 * DEG, slip_rpm * RPM, 2, energy_j
+    )
+
+
+def test_of_a_splitter_with_dog_teeth_its_own_contact_counts_where_it_alone_changes() -> None:
+    """And its strike where the main gear changes, too; its sleeve is the one that turns faster."""
+    met = split_event(EngagementEvent.TOOTH_CONTACT, 25_500)
+    locked = split_event(EngagementEvent.LOCKED, 60_000, energy_j=1.5)
+    brake = ReferenceEngagement(61_000, EngagementEvent.BRAKE_EMPTIES, MainGear.NEUTRAL, 0.0, 0.0)
+    (alone,) = rows_of(met, locked, brake, outcome(from_gear=9))
+    assert (alone.contact, alone.impact_j, alone.outside_window) == ("tooth", 1.5, 0)
+    assert alone.slip_rpm == pytest.approx(-50.0)
+    (both,) = rows_of(met, locked, contact(0.1), outcome(from_gear=11))
+    assert (both.contact, both.impact_j) == ("gap", 1.5)
+    fast = split_event(EngagementEvent.TOOTH_CONTACT, 25_500, slip_rpm=80.0)
+    assert rows_of(fast, locked, outcome(from_gear=9))[0].outside_window == 1
