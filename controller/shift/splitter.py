@@ -84,7 +84,7 @@ def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigge
     context.clutch = ClutchAction.OPEN
     if context.engine_rad_s is not None:
         # It goes on at that speed until the step is in: it would take the shaft along.
-        _ask_engine(context, gear, meeting.step_rad_s, _wanted_slip(context, meeting))
+        _ask_engine(context, meeting.step_rad_s + _wanted_slip(context, meeting))
     is_neutral = abs(view.position_m(Sleeve.SPLITTER)) < VIEW_NEUTRAL_M
     if is_neutral and not is_moving and view.clutch_parted:
         _fire_when_due(context, snapshot, gear, meeting)
@@ -171,19 +171,17 @@ def _is_driven(
         change.is_driven, change.falls_rad_s2 = True, falls
         change.drives += 1
     wanted += change.falls_rad_s2 * _lost_s(context) + SHORT_RAD_S
+    wanted = min(wanted, _most_slip(context, gear))
     if _arrives(context, snapshot, meeting.step_rad_s + wanted):
         change.is_driven = False
         return False
     context.clutch = ClutchAction.CLOSE
-    _ask_engine(context, gear, meeting.step_rad_s, wanted)
+    _ask_engine(context, meeting.step_rad_s + wanted)
     return True
 
 
-def _ask_engine(
-    context: ShiftContext, gear: SplitGear, step_rad_s: float, wanted_rad_s: float
-) -> None:
-    """Asks the engine for so much above the new step's speed, where that is allowed."""
-    speed = step_rad_s + min(wanted_rad_s, _most_slip(context, gear))
+def _ask_engine(context: ShiftContext, speed: float) -> None:
+    """Asks the engine for a speed (rad/s), where it is one that it may have."""
     usable = context.settings.engine.least_rad_s <= speed <= context.sheet.limits.input_max_rad_s
     context.engine_rad_s = speed if usable else None
 

@@ -79,11 +79,11 @@ def test_each_change_ends_in_its_gear_and_harms_nothing(from_: int, to: int) -> 
 
 @pytest.mark.parametrize(("from_", "to"), ALONE + ACROSS)
 def test_its_sleeve_comes_from_above_within_the_guards_window(from_: int, to: int) -> None:
-    """The sleeve turns faster than its gear, by about `window.fire_slip_rpm` at the first
+    """The sleeve turns faster than its gear, by `window.fire_slip_rpm` or more at the first
     contact."""
     contacts = shift(from_, to).split_contacts
     assert contacts
-    assert 15.0 * RPM < -contacts[0].slip_rad_s < 80.0 * RPM
+    assert 30.0 * RPM < -contacts[0].slip_rad_s < 115.0 * RPM
     assert all(-60.0 * RPM < -contact.slip_rad_s < 120.0 * RPM for contact in contacts)
 
 
@@ -117,7 +117,7 @@ def test_a_jammed_splitter_ends_the_shift_in_its_old_gear() -> None:
 
 def test_a_splitter_that_a_fault_left_in_neutral_is_brought_in_by_the_next_request() -> None:
     """In gear, so that something turns the layshaft."""
-    watched = ready(11, 12)
+    watched = ready(12, 11)
     loop = watched.loop
     loop.run_to_state(State.SPLITTER_CHANGING, 2_000_000)
     loop.until(lambda: abs(loop.core._sequence.shift.splitter.drives) > 0, 3_000_000)
