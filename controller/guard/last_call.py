@@ -11,6 +11,7 @@ from __future__ import annotations
 from meshpoint.controller.guard.case import JudgedCommand, Span
 from meshpoint.controller.guard.limits import REACT_US, SLIP_MARGIN_RAD_S
 from meshpoint.controller.guard.sleeve_motion import longest_pulse_us
+from meshpoint.controller.guard.swing import Swing
 
 
 def slip_may_leave_its_window(case: JudgedCommand, valve: int, span: Span) -> bool:
@@ -26,8 +27,15 @@ def slip_may_leave_its_window(case: JudgedCommand, valve: int, span: Span) -> bo
         return True
     early_us, late_us = case.contact_us(valve, span)
     # The main shaft goes on swinging as it has.
-    main_least, main_most = (meeting.over * each for each in main.between(early_us, late_us))
+    swings = main.between(early_us, late_us)
     most = least = layshaft.newest.omega_rad_s
+    if valve in case.limits.splitter:
+        # In gear it swings more slowly, and further than within a period; and open plates take the
+        # input shaft along.
+        then = _goes_on(main, late_us)
+        swings = (min(swings[0], then), max(swings[1], then))
+        most = max(most, _goes_on(layshaft, late_us))
+    main_least, main_most = (meeting.over * each for each in swings)
     if not last:
         # The newest speed is some hundredths of a second old: the layshaft has fallen on until now.
         passed_s = max(0.0, case.seen.now_us - layshaft.newest.time_us) * 1e-6
@@ -41,6 +49,12 @@ def slip_may_leave_its_window(case: JudgedCommand, valve: int, span: Span) -> bo
         ratio * most - main_least > high + SLIP_MARGIN_RAD_S
         or ratio * least - main_most < low - SLIP_MARGIN_RAD_S
     )
+
+
+def _goes_on(shaft: Swing, until_us: float) -> float:
+    """The speed (rad/s) of a shaft that goes on changing as it does."""
+    ahead_s = max(0.0, until_us - shaft.newest.time_us) * 1e-6
+    return shaft.newest.omega_rad_s + shaft.rate_rad_s2 * ahead_s
 
 
 def is_last_stop(case: JudgedCommand, valve: int, span: Span) -> bool:

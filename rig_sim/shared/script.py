@@ -160,7 +160,8 @@ class BenchScript:
         if self._split is not None:
             dog = self._sheet.teeth_of(Sleeve.SPLITTER)
             slip_rad_s = min(SLIP_RAD_S, dog.backlash_rad / LEAST_IN_GAP_S)
-            wanted = target_rad_s * self._sheet.dog_mesh(self._split).ratio - slip_rad_s
+            # From above: the layshaft still loses its own slip as the main gear locks.
+            wanted = target_rad_s * self._sheet.dog_mesh(self._split).ratio + slip_rad_s
             plant.script_input((wanted - plant.input_rad_s) / self.ramp_s)
         for name, is_high in (
             (Sleeve.SPLITTER, self._gear.split is Split.HIGH),

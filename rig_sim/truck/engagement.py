@@ -161,10 +161,13 @@ class TruckEngagement(Engagement[TruckSleeveT], Generic[TruckSleeveT]):
     def no_slip(self, slot: int) -> None:
         """Sleeve face and tooth have the same speed: they stick if static friction holds them."""
         name, truck = DOG_SLEEVES[slot], self._truck
-        joint = truck.shafts.joint(self.gear_at(name))
+        gear = self.gear_at(name)
+        joint = truck.shafts.joint(gear)
         truck.smooth(slot)
         if truck.chain.is_rigid(joint.link):
             return
+        if isinstance(gear, SplitGear):
+            truck.free(gear)  # the bench drives one side of a tooth that sticks, not both
         hold = self._static_factor * self._face_nm(name)
         truck.join(joint.link, joint.ratio, -hold, hold)
         self._stuck[joint.link] = name

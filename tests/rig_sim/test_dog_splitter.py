@@ -12,7 +12,7 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import Sleeve, SplitGear
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.rig_sim.presets import build_world
-from meshpoint.rig_sim.settings import Preset, RigSettings, SettingsError
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings, SettingsError
 from meshpoint.rig_sim.shared.engagement import Engaged, Violation
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
@@ -138,6 +138,19 @@ def test_the_bench_changes_the_step_on_its_way_back() -> None:
         assert truck.plant.shafts.split_lock is not None
         assert truck.plant.shafts.split_lock.gear is wanted
         assert abs(truck.truth.slip_rad_s(wanted)) < 30.0 * RPM
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_bench_comes_to_each_step_whatever_its_teeth_meet(seed: int) -> None:
+    """With the main gear's lock the layshaft loses its slip, the splitter's grows: none sticks, and
+    no tooth bounces for ever between two shafts that the bench drives."""
+    truck = world({}, DOG, seed=seed, start_gear=1, main_speed_rpm=300.0, profile=Profile.TYPICAL)
+    asked = (3, 1, 4, 5, 2, 7, 8, 1, 14, 13)
+    for number in asked:
+        truck.return_to_gear(number, 60.0, round(truck.plant.time_us))
+        run(truck, round(truck.plant.time_us) + 900_000)
+    ready = [e for e in truck.take_engaged() if e.event is EngagementEvent.READY]
+    assert [e.drive_gear for e in ready] == list(asked)
 
 
 def test_only_preset_truck_has_one() -> None:
