@@ -39,8 +39,9 @@ STOP_SD_M: Final = 1e-4
 NEUTRAL_M: Final = 1.5e-3
 MOVED_M: Final = 1e-3
 MOST_IN_VAIN: Final = 3
-"""After more pushes in vain the next one is no longer than a first one, and waits until both
-chambers have vented: of a sensor that is stuck they would throw the sleeve."""
+"""After more pushes in vain of a sleeve between teeth the next one is no longer than a first one,
+and waits until both chambers have vented: of a sensor that is stuck they would throw the sleeve.
+Before the teeth it is cold oil that holds a sleeve, for many more."""
 VENTS_US: Final = 300_000
 LEAST_SAMPLES: Final = 6
 STARTED_M: Final = 2e-4
@@ -94,7 +95,7 @@ class TrackedSleeve(DrivenSleeve):
         """By direction, and whether out of a gear: the last push towards neutral that did not throw
         it through."""
         self._in_vain = 0
-        """How many pushes in a row have left it where it stood, by its sensor."""
+        """How many pushes in a row have left it where it stood, between teeth, by its sensor."""
         self.version = 0
         """Changes when more was learned."""
         self.rest_m = 0.0
@@ -239,7 +240,8 @@ class TrackedSleeve(DrivenSleeve):
             return
         in_gear = abs(from_m) > self.law.in_gear_m
         way_m = max(abs(reading - self.rest_m) for reading in self.movement.readings_m)
-        self._in_vain = 0 if way_m > MOVED_M else self._in_vain + 1
+        is_between = abs(from_m) > self.law.face_m
+        self._in_vain = self._in_vain + 1 if is_between and way_m <= MOVED_M else 0
         if not in_gear and self._in_vain > MOST_IN_VAIN:
             self.withstood.pop((direction, in_gear), None)
         elif abs(from_m) > NEUTRAL_M and (way_m > MOVED_M or not in_gear):

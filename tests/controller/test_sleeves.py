@@ -169,7 +169,7 @@ def test_a_push_to_neutral_is_bounded_by_what_was_withstood_from_there_or_nearer
     assert pushed_ms(sleeves, 1_220_000) == pytest.approx(first_ms[2.6], abs=0.01)
 
 
-def test_pushes_in_vain_grow_three_times_and_then_wait_for_empty_chambers() -> None:
+def test_pushes_in_vain_between_teeth_grow_three_times_and_then_wait_for_empty_chambers() -> None:
     """A position sensor that is stuck shows none of them. Red before: ever longer, and as soon as
     the last one was over."""
     law = SleeveLaw(SHEET)
@@ -180,19 +180,19 @@ def test_pushes_in_vain_grow_three_times_and_then_wait_for_empty_chambers() -> N
     laws = SleeveLawRecords(first_second=law_record(Prior(slow, 0.01 * sheet.covariance), 20))
     sleeves.restore(SleeveRecords(), laws)
     now_us, lengths_ms = 300_000, list[float]()
-    standing_at(sleeves, view, 4.0, 0, now_us)
+    standing_at(sleeves, view, 8.0, 0, now_us)
     for _ in range(7):
         waited_us = now_us
         while sleeves.to_neutral(Sleeve.FIRST_SECOND, now_us) is None:
-            standing_at(sleeves, view, 4.0, now_us, now_us + 10_000)
+            standing_at(sleeves, view, 8.0, now_us, now_us + 10_000)
             now_us += 10_000
         assert (now_us - waited_us > 100_000) is (len(lengths_ms) > 3)
         lengths_ms.append(pushed_ms(sleeves, now_us))
         off_us = now_us + round(1e3 * lengths_ms[-1])
         sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], True, now_us)
-        standing_at(sleeves, view, 4.0, now_us, now_us + 10_000)
+        standing_at(sleeves, view, 8.0, now_us, now_us + 10_000)
         sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], False, off_us)
-        standing_at(sleeves, view, 4.0, now_us + 10_000, now_us + 150_000)
+        standing_at(sleeves, view, 8.0, now_us + 10_000, now_us + 150_000)
         now_us += 150_000
     grows = [b - a for a, b in itertools.pairwise(lengths_ms)]
     assert grows == pytest.approx([2.0, 2.0, 2.0, -6.0, 0.0, 0.0], abs=0.3)
