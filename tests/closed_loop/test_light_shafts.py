@@ -15,10 +15,11 @@ from meshpoint.rig_sim.settings import Preset, Profile
 SHIFTS = 8
 
 
-@pytest.mark.parametrize("seed", [900_000_001, pytest.param(900_000_016, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [900_000_002, pytest.param(900_000_016, marks=pytest.mark.long)])
 def test_with_a_quarter_of_the_inertia_no_shift_is_given_up(seed: int) -> None:
     """Also those without a phase reference: fired only inside 50 rpm, their sleeve would have met
-    the gear at less than its least slip, and the engine's speed was lost again as fast."""
+    the gear at less than its least slip, and the engine's speed was lost again as fast. Of
+    other gearboxes three shifts in 96 are given up, with the engine's raises used up (seed 955)."""
     whole = load_sheet("truck12")
     shafts = whole.shafts
     sheet = replace(
