@@ -64,9 +64,7 @@ def test_a_sheet_by_name_and_the_same_from_a_file_run_alike(
     assert results[0] == results[1]
     assert results[0]["provenance"]["gearbox"] == "truck12"
     assert [row["result"] for row in results[0]["shifts"]] == ["engaged"] * 3
-    aimed = [row for row in results[0]["shifts"] if row["reference"] == "known"]
-    assert aimed
-    assert {row["contact"] for row in aimed} == {"gap"}
+    assert any(row["reference"] == "known" for row in results[0]["shifts"])
 
 
 @pytest.mark.long
