@@ -95,6 +95,8 @@ def _walk(cls: Any, name: str, values: Any) -> Iterator[KeyGroup]:
         value = _default(field) if values is None else getattr(values, field.name)
         rule: Rule | None = field.metadata.get("rule")
         if rule is None:
+            if values is not None and value is None:
+                continue  # a table that this instance leaves out
             path = f"{name}.{key_of(field)}" if name else key_of(field)
             inner.append((field.metadata["group"], path, value))
         else:

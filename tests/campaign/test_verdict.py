@@ -173,7 +173,8 @@ def test_no_change_ends_with_0_and_too_few_runs_with_4(
     assert ET.parse(tmp_path / "x.xml").getroot().attrib["failures"] == "0"
     for folder in ("before", "after"):
         shutil.rmtree(tmp_path / folder)
-    code, values = judge(alike, alike, "--runs", "10")
+    few = [row for row in alike if row["seed"] < alike[0]["seed"] + 10]
+    code, values = judge(few, few, "--runs", "10")
     assert (code, values["against"]["verdict"]) == (Exit.NOT_DECIDED, "not decided")
     assert ET.parse(tmp_path / "x.xml").getroot().attrib["failures"] == "1"
 

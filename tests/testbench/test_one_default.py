@@ -125,7 +125,7 @@ def test_a_campaign_names_sheet_and_profile_in_all_that_it_gives(
     assert main(["campaign", *small, *options, "--out", str(tmp_path / "out")]) == 0
     campaign = json.loads(files["json"].read_text())["campaign"]
     assert (campaign["provenance"]["gearbox"], campaign["profile"]) == ("truck12", "typical")
-    printed = capsys.readouterr().out
+    printed = " ".join(capsys.readouterr().out.split())
     assert printed.count(OF) == 3, printed  # strategies, phases, ratios
     for name in ("junit", "markdown"):
         assert f"1 runs, {OF}" in files[name].read_text()
