@@ -8,6 +8,7 @@ from pathlib import Path
 
 from meshpoint.bus.local.channel import HubChannel
 from meshpoint.bus.local.dial import NoHubError, dial
+from meshpoint.bus.signals import apart
 
 _RETRY_S = 0.01
 
@@ -55,6 +56,7 @@ def start_hub(channel: HubChannel, timeout_s: float) -> None:
             cwd=Path(sys.executable).anchor,
             timeout=timeout_s,
             check=False,
+            **apart(),
         )
     except subprocess.TimeoutExpired as error:
         raise HubStartError(f"{channel}: no hub within {timeout_s:g} s") from error
