@@ -144,17 +144,22 @@ def pushed_ms(sleeves: Sleeves, at_us: int) -> float:
     return 1e-3 * (pulse.off_us - pulse.on_us)
 
 
+def slow_sleeves() -> Sleeves:
+    """Taught friction of three times the sheet's."""
+    sheet = SleeveLaw(SHEET).prior(SHEET)
+    slow = sheet.mean.copy()
+    slow[FRICTION] = math.log(3.0)
+    laws = SleeveLawRecords(first_second=law_record(Prior(slow, 0.01 * sheet.covariance), 20))
+    sleeves = Sleeves(SHEET)
+    sleeves.restore(SleeveRecords(), laws)
+    return sleeves
+
+
 def test_a_push_to_neutral_is_bounded_by_what_was_withstood_from_there_or_nearer_neutral() -> None:
     """Whatever the law asks for, which friction of three times the sheet's has taught: first by
     half of the least stroke for the way that ends 1 mm before the opposite teeth, less 7 ms for a
     valve that is late to shut, then by 2 ms more than the last push."""
-    law = SleeveLaw(SHEET)
-    sheet = law.prior(SHEET)
-    slow = sheet.mean.copy()
-    slow[FRICTION] = math.log(3.0)
-    sleeves, view = Sleeves(SHEET), GearboxView(SHEET)
-    laws = SleeveLawRecords(first_second=law_record(Prior(slow, 0.01 * sheet.covariance), 20))
-    sleeves.restore(SleeveRecords(), laws)
+    sleeves, view = slow_sleeves(), GearboxView(SHEET)
     first_ms = {x_mm: 14.0 * ((4.0 + x_mm) / 5.0) ** (1 / 3) - 7.0 for x_mm in (2.6, 4.0)}
     standing_at(sleeves, view, 2.6, 0, 300_000)
     assert pushed_ms(sleeves, 320_000) == pytest.approx(first_ms[2.6], abs=0.01)
@@ -172,13 +177,7 @@ def test_a_push_to_neutral_is_bounded_by_what_was_withstood_from_there_or_nearer
 def test_pushes_in_vain_between_teeth_grow_three_times_and_then_wait_for_empty_chambers() -> None:
     """A position sensor that is stuck shows none of them. Red before: ever longer, and as soon as
     the last one was over."""
-    law = SleeveLaw(SHEET)
-    sheet = law.prior(SHEET)
-    slow = sheet.mean.copy()
-    slow[FRICTION] = math.log(3.0)
-    sleeves, view = Sleeves(SHEET), GearboxView(SHEET)
-    laws = SleeveLawRecords(first_second=law_record(Prior(slow, 0.01 * sheet.covariance), 20))
-    sleeves.restore(SleeveRecords(), laws)
+    sleeves, view = slow_sleeves(), GearboxView(SHEET)
     now_us, lengths_ms = 300_000, list[float]()
     standing_at(sleeves, view, 8.0, 0, now_us)
     for _ in range(7):
