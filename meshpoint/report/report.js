@@ -47,7 +47,7 @@
       layout[name] = { ...layout[name], domain: [Math.max(0, below_px / total_px), top] };
       layout[legend] = {
         ...layout[legend], x: 0, y: top, yanchor: "bottom", orientation: "h", font: { size: 9 },
-        entrywidth: 1 / LEGEND.columns, entrywidthmode: "fraction",
+        entrywidth: 1 / LEGEND.columns, entrywidthmode: "fraction", bgcolor: "#fff",
       };
     }
     layout.height = total_px + margin.t + margin.b;

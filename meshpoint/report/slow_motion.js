@@ -59,14 +59,15 @@ class SlowMotion {
     this.mark();
   }
 
-  // A line through the traces at the time shown.
+  // A line through the traces at the time shown, below the names of moments.
   mark() {
     const layout = this.figure._fullLayout;
     if (!this.motion || !layout || !layout.xaxis) return;
     const x = layout.xaxis._offset + layout.xaxis.l2p(this.time_ms);
     this.cursor.style.left = `${this.figure.offsetLeft + x}px`;
-    this.cursor.style.top = `${this.figure.offsetTop}px`;
-    this.cursor.style.height = `${this.figure.offsetHeight}px`;
+    const { t: above_px, h: high_px } = layout._size;
+    this.cursor.style.top = `${this.figure.offsetTop + above_px}px`;
+    this.cursor.style.height = `${high_px}px`;
     const [from, to] = layout.xaxis.range;
     this.cursor.hidden = this.time_ms < from || this.time_ms > to;
   }

@@ -311,6 +311,14 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert "target_phase, shift 4: gear 10 to 12, tooth met gap" in drawn
     assert drawn.count("main-svg") >= 3
     assert 'id="shift-1-4" class="chosen"' in drawn
+    time_line = re.search(r'<div class="cursor" style="[^"]*height: ([\d.]+)px', drawn)
+    panels = re.findall(
+        r'data-subplot="xy\d*" x="[\d.]+" y="([\d.]+)"[^>]* height="([\d.]+)"', drawn
+    )
+    assert time_line is not None
+    ends = [(float(y), float(y) + float(height)) for y, height in panels]
+    high = max(bottom for _, bottom in ends) - min(top for top, _ in ends)
+    assert float(time_line[1]) <= high + 1.0, "it strikes through the names of moments"
 
 
 @pytest.mark.device
