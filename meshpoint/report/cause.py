@@ -86,7 +86,7 @@ def _missed(shift: ReportShift, sheet: GearboxSheet) -> str | None:
             why = "where the gear's teeth are was not known yet"
         return f"Met a tooth by chance: {why}."
     at_ms, met_deg, by = _contact(shift, half_deg)
-    firing = next((f for f in reversed(shift.firings) if at_ms and f.fire_ms < at_ms), None)
+    firing = shift.fired_before(at_ms) if at_ms else None
     if at_ms is None or met_deg is None or firing is None or not is_aimed(row):
         return None
     parts = _parts(shift, sheet, firing, at_ms, met_deg)

@@ -104,6 +104,10 @@ class ReportShift:
         """First contact by the rig's truth."""
         return None if self.row.contact_us is None else self.ms(self.row.contact_us)
 
+    def fired_before(self, at_ms: float) -> Firing | None:
+        """The last firing before a contact: the one that made it."""
+        return next((each for each in reversed(self.firings) if each.fire_ms < at_ms), None)
+
     @property
     def contact_phase_deg(self) -> float | None:
         """Phase at first contact by the rig's truth, from the middle of the gap."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.report.collect import ReportShift
+from meshpoint.report.collect import Firing, ReportShift
 from meshpoint.report.html import NUMBER_CLASS, Cell
 from meshpoint.results.aborts import aborts_words
 from meshpoint.units import DEG, RPM
@@ -49,19 +49,18 @@ def account(shift: ReportShift) -> list[list[str]]:
     """Prediction against outcome: quantity, predicted when fired, seen by the controller, truth."""
     outcome, row = shift.outcome, shift.row
     to_pct = 100 / row.pitch_deg
-    fired = row.attempts > 0
-    measured = fired and outcome.measured_contact_time_us != 0
-    known = fired and row.reference == "known"
-    predicted_ms = shift.ms(outcome.predicted_contact_time_us) if fired else None
+    firing, is_last = _first_firing(shift)
+    measured = is_last and outcome.measured_contact_time_us != 0
     measured_ms = shift.ms(outcome.measured_contact_time_us) if measured else None
     predicted = seen = "–"
-    if known:
-        sd = to_pct * outcome.predicted_phase_sd_rad / DEG
-        predicted = f"{_text(to_pct * outcome.predicted_phase_rad / DEG, signed=True)} ± {sd:.1f}"
-    if known and measured:
+    if firing and firing.sd_deg:
+        sd = to_pct * firing.sd_deg
+        predicted = f"{_text(to_pct * firing.phase_deg, signed=True)} ± {sd:.1f}"
+    if measured and row.reference == "known":
         seen = _text(to_pct * outcome.estimated_phase_rad / DEG, signed=True)
     true_pct = None if shift.contact_phase_deg is None else to_pct * shift.contact_phase_deg
-    slip = outcome.predicted_slip_rad_s / RPM if fired else None
+    slip = firing.slip_rpm if firing else None
+    predicted_ms = firing.contact_ms if firing else None
     rows = [
         ["contact, ms after the request", _text(predicted_ms), _text(measured_ms),
          _text(shift.contact_ms)],
@@ -71,6 +70,27 @@ def account(shift: ReportShift) -> list[list[str]]:
     if row.aborts:
         rows.append(["aborted", "–", aborts_words(row.aborts, row.halt_mm), "–"])
     return rows
+
+
+def _first_firing(shift: ReportShift) -> tuple[Firing | None, bool]:
+    """The firing that made the first contact, and whether it is the last one: of that one alone
+    the outcome says what the controller saw."""
+    outcome, row = shift.outcome, shift.row
+    if not row.attempts:
+        return None, False
+    fire_ms = shift.ms(outcome.fire_time_us)
+    met_ms = shift.contact_ms
+    if met_ms is not None and (row.attempts > 1 or met_ms < fire_ms):
+        return shift.fired_before(met_ms), False
+    last = Firing(
+        decided_ms=fire_ms,
+        fire_ms=fire_ms,
+        contact_ms=shift.ms(outcome.predicted_contact_time_us),
+        phase_deg=outcome.predicted_phase_rad / DEG,
+        sd_deg=outcome.predicted_phase_sd_rad / DEG if row.reference == "known" else 0.0,
+        slip_rpm=outcome.predicted_slip_rad_s / RPM,
+    )
+    return last, True
 
 
 def _text(value: float | None, signed: bool = False) -> str:

@@ -174,6 +174,9 @@ class RowCollector:
             phase -= pitch * math.floor(phase / pitch + 0.5)
             slip = contact.slip_rad_s / RPM
             delay = span_us(contact.event_time_us, outcome.fire_time_us) / 1000
+        # The outcome speaks of the last firing; the first contact may be an earlier one's.
+        fired_once = outcome.attempts == 1 and (delay is None or delay >= 0.0)
+        predicted = known and fired_once
         return ShiftRow(
             from_=outcome.from_gear,
             to=outcome.to_gear,
@@ -186,9 +189,9 @@ class RowCollector:
             pitch_deg=self._pitch_deg,
             contact=CONTACT_KINDS[contact.event] if contact else None,
             attempts=outcome.attempts,
-            predicted_phase_deg=outcome.predicted_phase_rad / DEG if known else None,
-            predicted_phase_sd_deg=outcome.predicted_phase_sd_rad / DEG if known else None,
-            delay_ms=delay if outcome.attempts == 1 and (delay or 0.0) >= 0.0 else None,
+            predicted_phase_deg=outcome.predicted_phase_rad / DEG if predicted else None,
+            predicted_phase_sd_deg=outcome.predicted_phase_sd_rad / DEG if predicted else None,
+            delay_ms=delay if fired_once else None,
             request_us=outcome.request_time_us,
             contact_us=contact.event_time_us if contact else None,
             end_us=outcome.end_time_us,

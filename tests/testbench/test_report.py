@@ -21,8 +21,13 @@ from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,
+    EngagementEvent,
+    MainGear,
     PhaseReference,
+    ReferenceEngagement,
+    ShiftDecision,
     ShiftOutcome,
+    ShiftPrediction,
     ShiftResult,
     SleevesMain,
     Strategy,
@@ -36,6 +41,7 @@ from meshpoint.report.write import report_data, report_provenance, write_report
 from meshpoint.results.rows import ShiftRow
 from meshpoint.results.wilson import wilson
 from meshpoint.rig_sim.settings import Preset
+from meshpoint.units import DEG, RPM
 
 SHEET = load_sheet("thesis")
 PITCH_DEG = 7.5
@@ -176,6 +182,37 @@ def test_the_account_of_a_shift_says_how_often_it_was_aborted_and_where_it_stood
     drawn = page(aborted_shift(200, 300), report_data(aborted_shift(200, 300)), PLOTLY_STUB)
     assert '<td class="number" data-name="aborts">2</td>' in drawn
     assert '<td class="number" data-name="with an abort">1</td>' in drawn
+
+
+def test_the_account_of_a_retried_shift_is_of_the_firing_that_made_the_first_contact() -> None:
+    """Fired for -0.04 deg at 300 ms, a tooth at 345 ms; fired again for 0.2 deg at 500 ms."""
+    collector = ReportCollector(SHEET)
+    for fire_ms, phase_deg in ((300, -0.04), (500, 0.2)):
+        collector.take(
+            ShiftPrediction(
+                1000 * (fire_ms - 10), ShiftDecision.COMMITTED, fire_time_us=1000 * fire_ms,
+                contact_time_us=1000 * (fire_ms + 46), phase_rad=phase_deg * DEG,
+                phase_sd_rad=0.75 * DEG, slip_rad_s=2.0 * RPM,
+            )
+        )  # fmt: skip
+    tooth = EngagementEvent.TOOTH_CONTACT
+    met = ReferenceEngagement(345_000, tooth, MainGear.SECOND, -0.9 * DEG, 5.0 * RPM)
+    collector.take(met)
+    collector.take(
+        ShiftOutcome(
+            8, 10, Strategy.TARGET_PHASE, PhaseReference.KNOWN, ShiftResult.ENGAGED, 2,
+            request_time_us=0, fire_time_us=500_000, predicted_contact_time_us=546_000,
+            measured_contact_time_us=545_000, end_time_us=600_000,
+            predicted_phase_rad=0.2 * DEG, predicted_phase_sd_rad=0.75 * DEG,
+        )
+    )  # fmt: skip
+    run = ReportRun("target_phase", collector.finish())
+    (shown,) = report_data(Report("retried", "", SHEET, [run], {}))["shifts"].values()
+    assert shown["account"][:3] == [
+        ["contact, ms after the request", "346.0", "–", "345.0"],
+        ["phase at contact, % of pitch", "-0.5 ± 10.0", "–", "-12.0"],
+        ["slip at contact, rpm", "+2.0", "–", "+5.0"],
+    ]
 
 
 def test_plotly_knows_every_attribute_of_every_figure(data: dict[str, Any]) -> None:

@@ -132,6 +132,15 @@ def test_a_contact_before_the_firing_that_is_told_has_no_delay() -> None:
     assert row.delay_ms is None
 
 
+@pytest.mark.parametrize("changed", [{"attempts": 2}, {"fire_time_us": 200_000}])
+def test_no_contact_is_put_beside_the_prediction_of_another_firing(changed: dict[str, int]) -> None:
+    """The first firing's contact is the truth's, the last one's prediction the outcome's."""
+    (row,) = rows_of(contact(-0.9, EngagementEvent.TOOTH_CONTACT), outcome(**changed))
+    assert (row.predicted_phase_deg, row.predicted_phase_sd_deg, row.delay_ms) == (None, None, None)
+    (row,) = rows_of(contact(-0.9), outcome())
+    assert row.predicted_phase_deg == pytest.approx(0.01)
+
+
 def test_the_table_of_rows_and_the_summary_count_aborts() -> None:
     line = shown(aborts=7).splitlines()[-1].split()
     assert line[-2:] == ["1/7", "engaged"]
