@@ -35,7 +35,7 @@ from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.sheet import sheet_from_canonical
 from meshpoint.gearbox.tables import TableError, read_values
 
-LIBRARIES: Final = ("numpy", "scipy", "numba")
+LIBRARIES: Final = ("numpy", "numba")
 SIZES: Final = (4, 7, 30)
 """Of the matrices tried: OpenBLAS works on blocks, and on what is left over."""
 ELEMENTARY: Final = (math.exp, math.sin, math.cos)
