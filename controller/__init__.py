@@ -14,8 +14,6 @@ before it:
     shift        the sequence of a shift, and its valve commands
     guard        passes a finished valve command or blocks it
     core         the step, and what is sent and logged about it
-    xcp          around the core where the run has it (--xcp): a calibration tool's measured values
-                 and settings
     run          on a bus: alone there, what is kept from run to run
 
 Others use `settings`, `core.core`, `run` and the strategies of `plan`; who else looks into a room

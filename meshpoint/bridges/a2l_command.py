@@ -10,8 +10,8 @@ from meshpoint.base.errors import CommandError, unwritten
 from meshpoint.base.exits import Exit
 from meshpoint.base.version import product_version
 from meshpoint.bridges.a2l_module import a2l
-from meshpoint.controller.xcp.memory import identity
 from meshpoint.results.output import tell
+from meshpoint.xcp.memory import identity
 
 
 def add_parser(commands: Any) -> None:

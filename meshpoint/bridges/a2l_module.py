@@ -13,7 +13,11 @@ from meshpoint.bridges.a2l_blocks import block, hexadecimal, quoted
 from meshpoint.bridges.a2l_transport import grammar, pages, xcp_on_can
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import SettingsFile
-from meshpoint.controller.xcp.memory import (
+from meshpoint.dbc.schema import SCHEMA
+from meshpoint.dbc.specs import SignalSpec
+from meshpoint.gearbox.keys import field_docs, groups_of, unit_of
+from meshpoint.gearbox.tables import key_of
+from meshpoint.xcp.memory import (
     FIGURE_BYTES,
     IDENTITY_ADDRESS,
     LEARNED,
@@ -29,10 +33,6 @@ from meshpoint.controller.xcp.memory import (
     LearnedFigure,
     identity,
 )
-from meshpoint.dbc.schema import SCHEMA
-from meshpoint.dbc.specs import SignalSpec
-from meshpoint.gearbox.keys import field_docs, groups_of, unit_of
-from meshpoint.gearbox.tables import key_of
 
 PROTECTION: Final = ("Crc", "Counter")
 """Signals of the E2E header, which measure nothing."""

@@ -8,10 +8,10 @@ from typing import Final
 
 from meshpoint.bridges.a2l_blocks import block, hexadecimal
 from meshpoint.controller.settings.settings import Timing
-from meshpoint.controller.xcp.memory import PAGE_BYTES, Page
-from meshpoint.controller.xcp.protocol import FD_BYTES, VERSION, Command, Event
-from meshpoint.controller.xcp.slave import EVENT_NAMES, MOST_OF_A_BLOCK
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
+from meshpoint.xcp.memory import PAGE_BYTES, Page
+from meshpoint.xcp.protocol import FD_BYTES, VERSION, Command, Event
+from meshpoint.xcp.slave import EVENT_NAMES, MOST_OF_A_BLOCK
 
 GRAMMAR: Final = Path(__file__).with_name("xcp.aml")
 SHORT_NAMES: Final = {Event.STEP: "step", Event.SHIFT_END: "shiftend"}

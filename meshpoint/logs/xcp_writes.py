@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 
-from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PAGE_BYTES, PARAMETERS, ROW_BYTES, Page
-from meshpoint.controller.xcp.protocol import NEGATIVE, POSITIVE, Command
-from meshpoint.controller.xcp.slave import USED_BY_CONTROLLER
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
+from meshpoint.xcp.memory import PAGE_ADDRESS, PAGE_BYTES, PARAMETERS, ROW_BYTES, Page
+from meshpoint.xcp.protocol import NEGATIVE, POSITIVE, Command
+from meshpoint.xcp.slave import USED_BY_CONTROLLER
 
 MTA_BYTES = 8
 

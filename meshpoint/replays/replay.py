@@ -315,7 +315,7 @@ def _node_of(core: ControllerCore) -> Core:
     """The core with what has stood around it, by its header."""
     if core.header.xcp is XcpAccess.OFF:
         return core
-    from meshpoint.controller.xcp.node import XcpCore
+    from meshpoint.xcp.node import XcpCore
 
     return XcpCore(core, core)
 

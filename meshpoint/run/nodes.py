@@ -41,7 +41,7 @@ from meshpoint.run.firmware_argument import add_firmware, firmware_of
 from meshpoint.run.free_bus import check_no_rig
 
 if TYPE_CHECKING:
-    from meshpoint.controller.xcp.node import XcpCore
+    from meshpoint.xcp.node import XcpCore
 
 
 def add_parser(commands: Any) -> None:
@@ -194,7 +194,7 @@ def _xcp_slave(access: XcpAccess) -> type[XcpCore] | None:
     do nothing."""
     if access is XcpAccess.OFF:
         return None
-    from meshpoint.controller.xcp.node import XcpCore
+    from meshpoint.xcp.node import XcpCore
 
     return XcpCore
 

@@ -12,7 +12,7 @@ OPTIONAL = (
     "meshpoint.bus.authentication",
     "meshpoint.bus.classic",
     "meshpoint.bus.diagnosis",
-    "meshpoint.controller.xcp",
+    "meshpoint.xcp",
     "meshpoint.dbc.classic",
 )
 pytestmark = pytest.mark.check

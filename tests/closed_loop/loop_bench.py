@@ -15,7 +15,6 @@ from meshpoint.bus.core import Core, Step
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import RunHeader, XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.node import XcpCore
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -34,6 +33,7 @@ from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.xcp.node import XcpCore
 
 SHEET = load_sheet("thesis")
 LAYSHAFT_RAD_S = 1400.0 * math.pi / 30.0

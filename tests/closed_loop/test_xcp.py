@@ -14,14 +14,6 @@ from xcp_master import AIM, address_of, master, read, refusal, settings_of, verd
 from meshpoint.base.version import product_version
 from meshpoint.controller.settings.header import XcpAccess, load_header, new_header
 from meshpoint.controller.settings.settings import ControllerSettings, SettingsFile
-from meshpoint.controller.xcp.memory import (
-    MEASURED_ADDRESS,
-    PAGE_ADDRESS,
-    PAGE_BYTES,
-    PARAMETERS,
-    ROW_BYTES,
-    identity,
-)
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.dbc.messages import ShiftResult
@@ -32,6 +24,14 @@ from meshpoint.logs.story import Story
 from meshpoint.replays.replay import LogReplay
 from meshpoint.replays.session import Verification
 from meshpoint.units import RPM
+from meshpoint.xcp.memory import (
+    MEASURED_ADDRESS,
+    PAGE_ADDRESS,
+    PAGE_BYTES,
+    PARAMETERS,
+    ROW_BYTES,
+    identity,
+)
 
 BOTH = pytest.mark.parametrize("fd", [True, False], ids=["can_fd", "can"])
 REFERENCE, WORKING = 0, 1

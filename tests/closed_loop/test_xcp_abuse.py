@@ -17,7 +17,12 @@ from meshpoint.base.version import product_version
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.memory import (
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.tables import TableError
+from meshpoint.replays.session import Verification
+from meshpoint.xcp.memory import (
     MEASURED_ADDRESS,
     PAGE_ADDRESS,
     PARAMETERS,
@@ -25,12 +30,7 @@ from meshpoint.controller.xcp.memory import (
     Parameter,
     StepFacts,
 )
-from meshpoint.controller.xcp.node import XcpNode
-from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
-from meshpoint.gearbox import load_sheet
-from meshpoint.gearbox.tables import TableError
-from meshpoint.replays.session import Verification
+from meshpoint.xcp.node import XcpNode
 
 
 @pytest.mark.parametrize("downloads", [300, pytest.param(1_000, marks=pytest.mark.long)])

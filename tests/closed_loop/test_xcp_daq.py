@@ -14,7 +14,8 @@ from pyxcp.recorder.converter import convert_xmraw
 from xcp_master import master
 
 from meshpoint.bridges.a2l_module import figures
-from meshpoint.controller.xcp.memory import (
+from meshpoint.dbc.specs import SignalSpec
+from meshpoint.xcp.memory import (
     FIGURE_BYTES,
     MEASURED_ADDRESS,
     MEASURED_BYTES,
@@ -25,7 +26,6 @@ from meshpoint.controller.xcp.memory import (
     MeasuredMemory,
     StepFacts,
 )
-from meshpoint.dbc.specs import SignalSpec
 
 BOTH = pytest.mark.parametrize("fd", [True, False], ids=["can_fd", "can"])
 REFERENCE, WORKING = 0, 1

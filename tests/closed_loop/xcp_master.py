@@ -26,12 +26,12 @@ from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import XcpAccess, new_header
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES
-from meshpoint.controller.xcp.node import XcpCore
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import XCP_COMMAND_ID, XCP_RESPONSE_ID
 from meshpoint.gearbox import load_sheet
 from meshpoint.replays.replay import LogReplay
+from meshpoint.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES
+from meshpoint.xcp.node import XcpCore
 
 # Its recorder asks for one, and would read pytest's command line.
 set_application(create_application_from_config({}, logging.ERROR))

@@ -82,10 +82,6 @@ WHOLE = {
     "controller/guard/own_speed.py: sum(took_us)",
     "controller/estimate/reference.py: sum((1 << gear - 1 for gear in self._offset_rad))",
     "controller/sleeve/driven.py: sum((one.time_us <= switch.time_us for one in self.switches))",
-    "controller/xcp/protocol.py: sum((each[1] for i, each in enumerate(entries) "
-    "if each is not None and i != entry))",
-    "controller/xcp/protocol.py: sum((len(each.tables) for each in self.lists))",
-    "controller/xcp/protocol.py: sum((len(each.tables) for each in self.lists[:number]))",
 }
 """Sums of integers."""
 

@@ -13,8 +13,8 @@ from meshpoint.base.version import product_version
 from meshpoint.bridges.a2l_module import a2l
 from meshpoint.cli.main import main
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES, identity
 from meshpoint.dbc.layout import CODECS
+from meshpoint.xcp.memory import PAGE_ADDRESS, PARAMETERS, ROW_BYTES, identity
 
 CHECKER = Path(sys.executable).with_name("a2ltool")
 TEXT = a2l(product_version())

@@ -14,17 +14,17 @@ from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import StrategyError
-from meshpoint.controller.xcp.memory import (
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import XCP_RESPONSE_ID
+from meshpoint.xcp.memory import (
     SLEEVES,
     CalibrationPages,
     Memory,
     StepFacts,
     changes_in_words,
 )
-from meshpoint.controller.xcp.protocol import FD_LENGTHS, Event
-from meshpoint.controller.xcp.slave import XcpSlave
-from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import XCP_RESPONSE_ID
+from meshpoint.xcp.protocol import FD_LENGTHS, Event
+from meshpoint.xcp.slave import XcpSlave
 
 MOST_COMMANDS: Final = 64
 """Kept until they are answered: a whole block and more. A master waits for each answer."""

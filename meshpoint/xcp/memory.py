@@ -23,7 +23,6 @@ from typing import Any, Final
 from meshpoint.controller.settings.header import XcpAccess
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.controller.xcp.protocol import RefusedError, XcpError
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (
@@ -38,6 +37,7 @@ from meshpoint.dbc.source import DBC_SHA256
 from meshpoint.gearbox import Sleeve
 from meshpoint.gearbox.tables import Rule, TableError, key_of
 from meshpoint.units import MM
+from meshpoint.xcp.protocol import RefusedError, XcpError
 
 ROW_BYTES: Final = 4
 GROUPS: Final = ("window", "aim", "prices", "limits", "engine")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
-from meshpoint.controller.xcp.memory import (
+from meshpoint.xcp.memory import (
     IDENTITY_ADDRESS,
     PAGE_ADDRESS,
     PAGE_BYTES,
@@ -20,7 +20,7 @@ from meshpoint.controller.xcp.memory import (
     Memory,
     Page,
 )
-from meshpoint.controller.xcp.protocol import (
+from meshpoint.xcp.protocol import (
     CLASSIC_BYTES,
     FD_BYTES,
     MODE_STAMPED,
