@@ -27,10 +27,11 @@ from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.settings.valve_name import driven_or_pending
-from meshpoint.controller.shift.context import PredictorSource, ValveBoard
+from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import (

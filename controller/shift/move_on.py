@@ -18,9 +18,10 @@ from meshpoint.controller.measure.gearbox_view import ENTERED_M
 from meshpoint.controller.models.layshaft import LayshaftState, predict, switched
 from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.controller.shift.context import FOREVER_US, ShiftContext
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import PRESSED_PA
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.valve_board import FOREVER_US
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 from meshpoint.units import RPM, SECOND_US
 

@@ -27,10 +27,10 @@ from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.learned import SleeveLawRecords, SleeveRecords
 from meshpoint.controller.settings.settings import ControllerSettings, Timing
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.controller.shift.context import ValveBoard
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.law import Prior, SleeveLaw, law_record
 from meshpoint.dbc.messages import (
     ClutchAction,

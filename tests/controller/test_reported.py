@@ -28,8 +28,8 @@ from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan
 from meshpoint.controller.settings.settings import ValveTiming
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.controller.shift.context import OFF_HELD_US, ValveBoard
 from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard
 from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,

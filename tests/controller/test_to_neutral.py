@@ -16,8 +16,8 @@ from sleeve_bench import GEAR, SLEEVE, TICK_US, VALVES, SleeveBench
 from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings.settings import ValveTiming
 from meshpoint.controller.settings.valve_name import ValveName
-from meshpoint.controller.shift.context import ValveBoard
 from meshpoint.controller.shift.disengage import ends_in_time
+from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.stroke import Pulse
 from meshpoint.dbc.messages import ControllerState as State

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from meshpoint.controller.settings.settings import ValveTiming
 from meshpoint.controller.settings.valve_name import ValveName, driven_or_pending
-from meshpoint.controller.shift.context import OFF, ValveBoard
+from meshpoint.controller.shift.valve_board import OFF, ValveBoard
 from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 T0 = (1 << 32) + 5_000_000
