@@ -52,7 +52,7 @@ from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.gearbox import GearboxSheet, Split
-from meshpoint.gearbox.sheet import Wheel as SheetWheel
+from meshpoint.gearbox.wheels import Wheel as SheetWheel
 from meshpoint.kernels.records import Vector
 
 BATCH_US: Final = 10_000.0

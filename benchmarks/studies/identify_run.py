@@ -15,7 +15,7 @@ from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
-from meshpoint.gearbox.sheet import Wheel
+from meshpoint.gearbox.wheels import Wheel
 from meshpoint.identify.identified import Identified
 from meshpoint.identify.identify import identify
 from meshpoint.identify.log_reader import LogContent, LogReader

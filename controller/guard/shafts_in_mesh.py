@@ -21,7 +21,7 @@ from typing import Final
 from meshpoint.controller.guard.limits import GuardLimits, end_of
 from meshpoint.controller.guard.own_speed import TeethCounted
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.sheet import Wheel
+from meshpoint.gearbox.wheels import Wheel
 
 SLACK_TEETH: Final = 2.0
 """Counts may differ by so much, in teeth of the slower wheel: a tooth that gave no edge, backlash,

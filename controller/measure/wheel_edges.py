@@ -42,7 +42,7 @@ from meshpoint.controller.measure.inputs import (
     chain_edges,
     pack_frame,
 )
-from meshpoint.gearbox.sheet import Wheel
+from meshpoint.gearbox.wheels import Wheel
 from meshpoint.kernels.records import Integers, RecordMemory, Vector
 
 LONGEST_GAP_US: Final = 5_000_000

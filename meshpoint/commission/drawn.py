@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.sheet import Mesh, Wheel
+from meshpoint.gearbox.wheels import Mesh, Wheel
 from meshpoint.units import BAR, MS
 
 STREAM: Final = 0x3139

@@ -38,8 +38,8 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS, Range, Split
 from meshpoint.gearbox.keys import groups_of, to_toml
-from meshpoint.gearbox.sheet import Mesh
 from meshpoint.gearbox.tables import merged_tables, parse_toml, read_group
+from meshpoint.gearbox.wheels import Mesh
 from meshpoint.identify.identified import Figure, Identified
 from meshpoint.identify.identify import identify
 from meshpoint.identify.jackknife import student

@@ -32,7 +32,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MainGear
-from meshpoint.gearbox.sheet import Wheel
+from meshpoint.gearbox.wheels import Wheel
 
 GROUP: Final = "shafts"
 INDEX_MODULUS: Final = 1 << 16

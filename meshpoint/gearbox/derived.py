@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_GEARS, DriveGear, Range, Split
-from meshpoint.gearbox.sheet import GearboxSheet, Mesh
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.gearbox.wheels import Mesh
 from meshpoint.units import RPM
 
 

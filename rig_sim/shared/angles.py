@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from meshpoint.gearbox.gears import MAIN_GEARS, DogGear, MainGear, Range, Split
-from meshpoint.gearbox.sheet import GearboxSheet, Mesh
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.gearbox.wheels import Mesh
 from meshpoint.rig_sim.shared.angle_kernels import geared, settled, wrapped
 
 Angle = tuple[int, float]

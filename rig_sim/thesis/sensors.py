@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-from meshpoint.gearbox.sheet import Wheels
+from meshpoint.gearbox.wheels import Wheels
 from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.angle_kernels import TAU, settled

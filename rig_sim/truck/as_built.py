@@ -21,8 +21,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from meshpoint.gearbox.reading import read_text
-from meshpoint.gearbox.sheet import GearboxSheet, Splitter
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.gearbox.tables import TableError, load_toml
+from meshpoint.gearbox.wheels import Splitter
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile
 
 AS_BUILT_STREAM: Final = 0xA5B

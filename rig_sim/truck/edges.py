@@ -16,7 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.gearbox.sheet import GearboxSheet, Wheel
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.gearbox.wheels import Wheel
 from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.drag import WARM_K
 from meshpoint.rig_sim.shared.angle_kernels import TAU

@@ -42,7 +42,7 @@ from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import load_sheet
-from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.wheels import Mesh
 from meshpoint.results.monitor import RowMonitor
 from meshpoint.results.rows import ShiftRow
 from meshpoint.rig_sim.core import RigCore

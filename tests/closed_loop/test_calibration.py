@@ -16,7 +16,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault
 from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.wheels import Mesh
 from meshpoint.results.rows import RowCollector
 from meshpoint.rig_sim.settings import Preset
 

@@ -16,7 +16,7 @@ from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.kinematics import raw_phase_rad, wrap_to_pitch
-from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.wheels import Mesh
 
 TURN = 2.0 * math.pi
 THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")

@@ -21,7 +21,7 @@ from meshpoint.controller.estimate.reference import (
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
-from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.wheels import Mesh
 
 THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
 MODULI = st.dictionaries(st.sampled_from(MAIN_GEARS), st.integers(1, 40), min_size=1).filter(

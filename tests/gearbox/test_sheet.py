@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, SheetError, Split, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS, SPLIT_GEARS, Sleeve, SplitGear
 from meshpoint.gearbox.keys import groups_of, to_toml
-from meshpoint.gearbox.sheet import SHEET_NAMES, Mesh, sheet_from_canonical
+from meshpoint.gearbox.sheet import SHEET_NAMES, sheet_from_canonical
 from meshpoint.gearbox.tables import read_group
+from meshpoint.gearbox.wheels import Mesh
 
 TEXT = (Path(__file__).parents[2] / "meshpoint" / "gearbox" / "sheets" / "thesis.toml").read_text()
 

@@ -15,7 +15,7 @@ from truck_bench import SHEET, run, switch, world
 
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox.gears import MainGear
-from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.wheels import Mesh
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile, SettingsError
@@ -41,7 +41,7 @@ import json, sys
 from truck_bench import run, switch, world
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.gearbox.gears import MainGear
-from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.wheels import Mesh
 BRAKE, SECOND = Valve.BRAKE, Valve.MAIN_SECOND
 truck = world({"vehicle.slope_percent": 0.0}, seed=11)
 truth, now_us = truck.truth, 0
