@@ -27,7 +27,7 @@ from scipy.signal import cont2discrete
 from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.models.layshaft import diagonal, first_order_law, free_motion
 from meshpoint.controller.models.thesis import THESIS_FILTER, layshaft_model, thesis_filter
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US

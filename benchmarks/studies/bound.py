@@ -25,7 +25,8 @@ from benchmarks.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.controller.settings.settings import ControllerSettings, ThesisFilterTuning
+from meshpoint.controller.settings.filters import ThesisFilterTuning
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox.tables import count, group, quantity
 from meshpoint.units import DEG, RPM
 

@@ -26,7 +26,8 @@ from meshpoint.controller.models.thesis import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.settings.settings import ControllerSettings, CruiseFilterTuning
+from meshpoint.controller.settings.filters import CruiseFilterTuning
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 from meshpoint.kernels.records import RecordMemory
 from meshpoint.units import US

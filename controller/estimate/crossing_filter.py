@@ -44,7 +44,7 @@ from meshpoint.controller.models.swing import (
     swing_spread,
     swing_step,
 )
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.kernels.jit import bare, inlined
 from meshpoint.kernels.records import WORD_BYTES, Over, RecordMemory, Records, Vector, layout_of
 from meshpoint.units import US

@@ -18,8 +18,8 @@ from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingF
 from meshpoint.controller.estimate.figures import Figure, Search, prior
 from meshpoint.controller.estimate.lash import LashFigures
 from meshpoint.controller.models.swing import RATE, STEADY, SWING, SwingMotion, SwingRates
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.settings.learned import SwingRecord
-from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import TURN
 

@@ -19,7 +19,7 @@ from meshpoint.controller.measure.gearbox_view import PressureSamples, together
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import Disturbance, MotionModel
 from meshpoint.controller.models.layshaft_kernels import DISTURBANCE, DRAG, GAIN
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, Vector
 from meshpoint.units import SECOND_US
 

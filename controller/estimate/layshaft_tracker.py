@@ -42,7 +42,7 @@ from meshpoint.controller.models.layshaft_kernels import (
     PRESSURE,
     THETA,
 )
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.kernels.records import Vector
 
 VISCOUS_FACTOR: Final = 3.0

@@ -37,8 +37,8 @@ from meshpoint.controller.models.swing import (
     SwingMotion,
     SwingRates,
 )
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.settings.learned import SwingRecord
-from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import RecordMemory, Vector

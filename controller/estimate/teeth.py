@@ -30,7 +30,7 @@ from meshpoint.controller.estimate.crossing_filter import (
 )
 from meshpoint.controller.estimate.crossing_kernels import TeethArrays, inverse_of_positive
 from meshpoint.controller.measure.wheel_edges import NO_EDGES, EdgeBatch
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.kernels.records import Integers, RecordMemory, Vector
 
 MARGIN: Final = 30.0

@@ -37,10 +37,8 @@ from meshpoint.controller.estimate.teeth import PatternEquations, TeethLearner, 
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import WALK_RAD_S2, following_motion, following_start
 from meshpoint.controller.models.layshaft_kernels import OMEGA, THETA
-from meshpoint.controller.settings.settings import (
-    MS_IN_US,
-    CrossingFilterTuning,
-)
+from meshpoint.controller.settings.filters import CrossingFilterTuning
+from meshpoint.controller.settings.settings import MS_IN_US
 from meshpoint.kernels.records import RecordMemory, Vector
 from meshpoint.units import US
 

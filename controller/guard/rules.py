@@ -1,12 +1,9 @@
-"""The guard: decodes the finished valve frame itself and passes it or blocks it.
+"""The guard: decodes the finished valve frame itself and passes it or blocks it. It uses no state
+of the sequence, no estimate and no codec, so that an error there cannot reach a valve.
 
-The guard is independent of the code that decides: it uses no state of the sequence, no estimate of
-the observer and no code of the codec, so that an error there cannot reach a valve. Each rule is a
-row of the table at the end of this file, under its number in docs/guard.md.
-
-Rules about slip and brake are judged for the time at which the command takes effect, with the
-guard's own speeds and with bounds on what brake and drag can do until then. What a rule judges is
-in `case.py`.
+Each rule is a row of the table at the end of this file, under its number in docs/guard.md; what it
+judges is in `case.py`. Slip and brake are judged for the time at which the command takes effect,
+with the guard's own speeds and with bounds on what brake and drag can do until then.
 """
 
 from __future__ import annotations
@@ -52,9 +49,8 @@ OTHER_END: Final = {1: 2, 2: 1, 7: 8, 8: 7}
 PROOF_STEPS: Final = 3
 """All inputs must have been valid in this many consecutive steps before a valve may be driven."""
 SETTLED_US: Final = 2_000
-"""In each of these the guard's clock may have gained so much. A controller that starts while a bus
-still delivers old frames cannot tell their age, but that they come faster than they were sent. In a
-step in which none comes it cannot tell that either: such a step proves nothing."""
+"""In each of these the guard's clock may have gained so much: old frames that a bus still delivers
+come faster than they were sent, and nothing else shows it. A step without frames proves nothing."""
 CLOCK_ERROR_US: Final = 12_000
 """A tick and the bus: what one of two clocks may not have seen of the least delay."""
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
@@ -449,7 +445,6 @@ class Guard:
 
 def _decodes_as_it_should() -> bool:
     """The self-test of the decoder: a frame that drives nothing and one that drives everything."""
+    off, on = (False,) * VALVE_COUNT, (True,) * VALVE_COUNT
     nothing, everything = bytes(FRAME_LENGTH), b"\xff" * FRAME_LENGTH
-    return decode(nothing).driven == (False,) * VALVE_COUNT and decode(everything).driven == (
-        (True,) * VALVE_COUNT
-    )
+    return decode(nothing).driven == off and decode(everything).driven == on

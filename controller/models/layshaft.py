@@ -23,7 +23,7 @@ from meshpoint.controller.models.layshaft_kernels import (
     settling,
     travel,
 )
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.kinematics import are_finite
 from meshpoint.kernels.records import RecordMemory, Vector

@@ -11,8 +11,7 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
 from meshpoint.controller.plan.own_strategy import OwnStrategy
-from meshpoint.controller.plan.speed_window import SpeedWindow
-from meshpoint.controller.plan.speed_window_anticipating import SpeedWindowAnticipating
+from meshpoint.controller.plan.speed_window import SpeedWindow, SpeedWindowAnticipating
 from meshpoint.controller.plan.strategy import EngagementStrategy
 from meshpoint.controller.plan.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import STRATEGY_NAMES, ControllerSettings
@@ -21,12 +20,12 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 
 MakeStrategy = Callable[[GearboxSheet, ControllerSettings], EngagementStrategy]
-STRATEGIES: Final[Mapping[str, MakeStrategy]] = {
+STRATEGIES: Final[Mapping[str, type[SpeedWindow | TargetPhase]]] = {
     "speed_window": SpeedWindow,
     "speed_window_anticipating": SpeedWindowAnticipating,
     "target_phase": TargetPhase,
 }
-AIMING: Final = frozenset(name for name in STRATEGY_NAMES if vars(STRATEGIES[name])["aims"])
+AIMING: Final = frozenset(name for name in STRATEGY_NAMES if STRATEGIES[name].aims)
 """Those that aim at a phase."""
 
 

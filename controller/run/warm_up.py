@@ -35,7 +35,7 @@ from meshpoint.controller.models.thesis import (
     thesis_filter,
 )
 from meshpoint.controller.plan import gear_predictor, target_phase
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.shift.engine import least_within
 from meshpoint.controller.sleeve import cylinder
 from meshpoint.kernels.records import WORD_BYTES, RecordMemory, filled

@@ -51,9 +51,8 @@ SUPPLY_STEP_PA: Final = 1e3
 ABORT_SUPPLY_PA: Final = 2e4
 """The last abort is worked out anew where the supply has changed by so much."""
 A_LITTLE_US: Final = 2_000
-"""A pulse towards neutral is longer by no more than this than the last one that the sleeve has
-withstood from there or from nearer neutral, whatever the law says: a pulse too long throws it
-through, and torque on the teeth may have taught the law."""
+"""A pulse towards neutral is longer by no more than this than the last that the sleeve has
+withstood from there or nearer: one too long throws it through, whatever the law says."""
 LEAST_PUSH_US: Final = 5_000
 """A first push of a sleeve that stands before a gear's teeth may be as long as this."""
 LONGER_US: Final = 4_000
@@ -66,9 +65,7 @@ than one that has brought the sleeve out of the gear: the rest of the way it is 
 SURE_SDS: Final = 3.0
 """A pulse towards neutral throws no sleeve through where its valve makes it longer by this many
 standard deviations."""
-RUN_ON_SHARE: Final = 0.5
-CLEAR_M: Final = 1.0e-3
-REACT_US: Final = 15_000
+RUN_ON_SHARE, CLEAR_M, REACT_US = 0.5, 1.0e-3, 15_000
 """The guard takes a longer pulse for a firing, but for one that the next command ends: see
 docs/guard.md, "A pulse stops short". It goes by half of this clearance; the rest is what its
 position sensor may be wrong by."""
@@ -104,8 +101,7 @@ class Sleeves:
         self._least_s = sleeve.valve_delay_s
         way_s = (sleeve.stroke_m - sleeve.to_contact_m) / sleeve.speed_m_s
         self._least_out_us = SECOND_US * max(0.0, way_s - sleeve.delay_limit_s)
-        """A gear's teeth are out no sooner after its sleeve begins to move, by the data sheet: the
-        guard goes by it too."""
+        """From a sleeve's first motion until its teeth are out, at least; the guard's too."""
         self._valve_us = SECOND_US * sleeve.valve_delay_s
         self._least_stroke_us = SECOND_US * (sleeve.delay_s - sleeve.delay_limit_s) - self._valve_us
         """From the valve's opening to contact from neutral, by the data sheet."""
@@ -139,8 +135,8 @@ class Sleeves:
         return side if side is not None and side.sleeve in self._sleeves else None
 
     def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
-        """A main valve's coil switches then (known in advance, or since); this replaces what was
-        still to come of that valve. Other valves are none of this room's."""
+        """A valve's coil switches then (known in advance, or since), in place of what was still to
+        come of it. Valves of cones are none of this room's."""
         side = self._side(valve)
         if side is not None:
             self._sleeves[side.sleeve].commanded(side.valve, on, time_us, self._now_us)
@@ -245,11 +241,8 @@ class Sleeves:
         rest_m = tracked.place_of(tracked.rest_m)
         if abs(rest_m) >= self._law.face_m:
             rest_m = 0.0
-        key = (
-            tracked.version,
-            round(rest_m / PLACE_STEP_M),
-            round(self._supply_pa / SUPPLY_STEP_PA),
-        )
+        steps = rest_m / PLACE_STEP_M, self._supply_pa / SUPPLY_STEP_PA
+        key = (tracked.version, round(steps[0]), round(steps[1]))
         known = self._from_rest.get(gear)
         if known is None or known[0] != key:
             switches = [Switch(0, side.valve, True)]
@@ -316,10 +309,9 @@ class Sleeves:
         return halted(self._sleeves[side.sleeve], side.direction, at_us)
 
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
-        """The pulse that brings a sleeve to rest in neutral: towards neutral where it stands before
-        the teeth or between unloaded ones, against its motion where it would fly past, or, pulled
-        out of a gear, may. None where it comes to rest there by itself, moves otherwise than the
-        law says, or falls short and does not stand yet: two pulses could throw it through."""
+        """The pulse that brings a sleeve to rest in neutral: towards it from before the teeth or
+        between unloaded ones, against the motion where it would, or may, fly past. None where it
+        comes to rest there by itself, is off its law, or falls short and does not stand yet."""
         tracked = self._sleeves[sleeve]
         if not tracked.stands:
             return self.brake(sleeve, at_us)
@@ -348,9 +340,8 @@ class Sleeves:
         return None
 
     def pull_us(self, valve: ValveName | None) -> tuple[float, float]:
-        """From a valve's current until the sleeve that it pulls begins to move, as expected, and
-        until the teeth that part then may be out, at the earliest. Those of splitter and range,
-        which are none of this room's, part as their sleeve moves."""
+        """From a valve's current until the sleeve it pulls begins to move, as expected, and until
+        its teeth may be out, at the earliest: with cones (no sleeve of this room) at once."""
         side = None if valve is None else self._side(valve)
         if side is None:
             return self._valve_us, self._valve_us
@@ -373,8 +364,8 @@ class Sleeves:
     def _withstands_us(
         self, sleeve: Sleeve, direction: int, from_m: float, longer_us: int = 0
     ) -> int:
-        """For so long a sleeve may be pushed from there towards neutral and is not thrown through.
-        In its gear and out of it are two things: torque on the teeth holds it there."""
+        """Longest pulse towards neutral that throws no sleeve through; in its gear and out of it
+        are two things, as torque on the teeth holds it there."""
         tracked, in_gear = self._sleeves[sleeve], abs(from_m) > self._law.in_gear_m
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)

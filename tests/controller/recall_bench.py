@@ -12,7 +12,7 @@ from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.estimate.reference_recovery import ReferenceRecovery, SavedReferences
 from meshpoint.controller.estimate.teeth import Found, ToothPattern, WheelTeeth, turned
 from meshpoint.controller.measure.wheel_edges import Renumbered
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.kinematics import raw_phase_rad, wrap_to_pitch

@@ -16,7 +16,7 @@ from meshpoint.controller.estimate.crossing_filter import CrossingFilter, Pressu
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import LayshaftState, MotionModel, diagonal, free_motion
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.units import US
 

@@ -27,7 +27,7 @@ from meshpoint.controller.estimate.teeth import TeethLearner
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import MotionModel, first_order_law
 from meshpoint.controller.models.swing import SwingMotion, SwingRates
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.kernels.records import RecordMemory, Vector
 
 TUNING = replace(

@@ -47,8 +47,8 @@ from meshpoint.controller.models.backlash import (
     move,
     move_often,
 )
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.settings.learned import SwingRecord
-from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
 from meshpoint.gearbox.driveline import Axle, Driveline
 from meshpoint.kernels.records import Vector

@@ -23,8 +23,8 @@ from meshpoint.controller.estimate.main_tracker import (
     Prediction,
 )
 from meshpoint.controller.models.swing import RATE, STEADY, SWING, SWING_STATES
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.settings.learned import SwingRecord
-from meshpoint.controller.settings.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import TURN
 

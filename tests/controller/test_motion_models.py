@@ -24,7 +24,7 @@ from meshpoint.controller.models.layshaft import (
     predict_spread,
     state_of,
 )
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 
 SHEET = load_sheet("truck12")

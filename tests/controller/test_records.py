@@ -94,7 +94,7 @@ from meshpoint.controller.models.layshaft import diagonal, first_order_law, foll
 from meshpoint.controller.plan.gear_predictor import MEETING, trajectory
 from meshpoint.controller.plan.target_phase import CONTACT_SERIES, TERMS, cheapest
 from meshpoint.kernels.records import filled
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.run.warm_up import warm_up
 rng = np.random.default_rng(4)

@@ -10,9 +10,9 @@ from typing import Final, NamedTuple
 
 import pytest
 
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.controller.settings.settings import (
     ControllerSettings,
-    CrossingFilterTuning,
     load_settings,
     load_settings_file,
 )

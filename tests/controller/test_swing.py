@@ -24,7 +24,7 @@ from meshpoint.controller.models.swing import (
     SwingMotion,
     SwingRates,
 )
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.kernels.records import Vector
 

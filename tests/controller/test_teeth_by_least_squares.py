@@ -17,7 +17,7 @@ from meshpoint.controller.estimate.teeth import (
     turned,
 )
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.kernels.records import Vector
 
 TEETH, EDGES = 12, 24

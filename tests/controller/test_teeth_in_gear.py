@@ -12,7 +12,8 @@ from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.estimate.wheel_tracker import ACCELERATION, EDGE_TIME, TURNS, TeethInGear
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
-from meshpoint.controller.settings.settings import ControllerSettings, CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.settings import Preset, Profile

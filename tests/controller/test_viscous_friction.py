@@ -20,7 +20,7 @@ from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
 from meshpoint.controller.models.layshaft import diagonal, free_motion
 from meshpoint.controller.models.layshaft_kernels import DRAG
-from meshpoint.controller.settings.settings import CrossingFilterTuning
+from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.kernels.records import Vector
 
