@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.kernels.jit import bare, compiled, inlined, record_on
+from meshpoint.kernels.jit import compiled, inlined, record_on
 from meshpoint.kernels.records import Vector, layout_of
 from meshpoint.units import US
 
@@ -98,41 +98,6 @@ class Followed:
 
 
 FOLLOWED: Final = layout_of(Followed)
-
-
-@bare
-def gear_measurements(
-    layshaft: Vector, main: Vector, range_: float, gear: float, within_us: float, found: Vector
-) -> tuple[int, float]:
-    """A step's edges of both shafts, times (us) and angles (rad), (2, n) in order of time, at the
-    propeller shaft by these ratios. Returns how many measurements of the gear there are, mean times
-    and angles of edges within so long of one another, to found (2, n); and how far the mean of the
-    main shaft's angles lies from the line through the layshaft's (rad)."""
-    n, m = layshaft.shape[1], main.shape[1]
-    middle_us = middle = then_us = then = 0.0
-    for i in range(n):
-        middle_us += layshaft[0, i]
-        middle += layshaft[1, i] * range_ * gear
-    for i in range(m):
-        then_us += main[0, i]
-        then += main[1, i] * range_
-    middle_us, middle, then_us, then = middle_us / n, middle / n, then_us / m, then / m
-    over = under = 0.0
-    for i in range(n):
-        wait_us = layshaft[0, i] - middle_us
-        over += wait_us * (layshaft[1, i] * range_ * gear - middle)
-        under += wait_us * wait_us
-    k = i = 0
-    while i < n:
-        begin, group = i, math.floor((layshaft[0, i] - layshaft[0, 0]) / within_us)
-        found[0, k] = found[1, k] = 0.0
-        while i < n and math.floor((layshaft[0, i] - layshaft[0, 0]) / within_us) == group:
-            found[0, k] += layshaft[0, i]
-            found[1, k] += layshaft[1, i] * range_ * gear
-            i += 1
-        found[0, k], found[1, k] = found[0, k] / (i - begin), found[1, k] / (i - begin)
-        k += 1
-    return k, then - (middle + over / under * (then_us - middle_us))
 
 
 @compiled

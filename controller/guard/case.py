@@ -285,7 +285,7 @@ class JudgedCommand(NamedTuple):
 
     def drives_before(self, sleeve: int) -> list[Drive]:
         """What has set a main sleeve going since it stood last, and does not drive it any more."""
-        found = [self.drive_before(valve) for valve in self.limits.valves_of(sleeve)]
+        found = [self.drive_before(valve) for valve in self.limits.valves_of[sleeve]]
         return [drive for drive in found if drive is not None]
 
     def drive_before(self, valve: int) -> Drive | None:
@@ -430,13 +430,13 @@ class JudgedCommand(NamedTuple):
         if abs(position) <= GUARD_NEUTRAL_M or self.stands_apart(sleeve):
             return True
         pulled = any(limits.dogs[valve].sleeve == sleeve for valve in self.pulling()) or any(
-            map(self._still_pulls, limits.valves_of(sleeve))
+            map(self._still_pulls, limits.valves_of[sleeve])
         )
         speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]
         come_m = limits.stroke_m - abs(position)
         is_pushed = any(
             self.spans[valve] is not None and self.way_m(valve) > 0.0
-            for valve in limits.valves_of(sleeve)
+            for valve in limits.valves_of[sleeve]
         )
         stays_out = speed > -LEAVING_M_S and not is_pushed
         if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M and (pulled or stays_out):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final, NamedTuple
 
 from meshpoint.controller.settings.settings import ControllerSettings, ValveTiming, splitter_ms
@@ -150,12 +151,12 @@ class GuardLimits:
     input_drag: tuple[float, float] = (0.0, 0.0)
     """What `drag_rad_s2` and `drag_rate` are of an input shaft in no step."""
 
-    @property
+    @cached_property
     def dogs(self) -> dict[int, MainValve]:
         """The valves of all sleeves with dog teeth."""
         return {**self.main, **self.splitter} if self.splitter else self.main
 
-    @property
+    @cached_property
     def dog_sleeves(self) -> tuple[int, ...]:
         """Those sleeves by number."""
         return (0, 1, SPLITTER) if self.splitter else (0, 1)
@@ -164,21 +165,26 @@ class GuardLimits:
         """Upper bounds of a falling shaft's deceleration by drag: constant, and a rad/s."""
         return (self.drag_rad_s2, self.drag_rate) if shaft else self.input_drag
 
-    @property
+    @cached_property
     def valve_between_us(self) -> tuple[float, float]:
         """Least and greatest time from a main valve's current to its sleeve's first movement, and
         from the current's end until the chamber is shut off."""
         middle, scatter = self.sleeve_valve_us, self.sleeve_scatter_us
         return max(0.0, middle - scatter), middle + scatter
 
-    @property
+    @cached_property
     def apart_m(self) -> float:
         """A main sleeve measured within this of the middle touches no gear's teeth."""
         return self.contact_m - APART_M
 
-    def valves_of(self, sleeve: int) -> tuple[int, ...]:
-        """The two valves of a sleeve with dog teeth."""
-        return tuple(valve for valve, gear in self.dogs.items() if gear.sleeve == sleeve)
+    @cached_property
+    def valves_of(self) -> dict[int, tuple[int, ...]]:
+        """The two valves of each sleeve with dog teeth."""
+        dogs = self.dogs.items()
+        return {
+            sleeve: tuple(valve for valve, gear in dogs if gear.sleeve == sleeve)
+            for sleeve in self.dog_sleeves
+        }
 
     @property
     def are_sane(self) -> bool:

@@ -3,7 +3,7 @@ was set going, and since when it stands before a gear's teeth."""
 
 from __future__ import annotations
 
-from meshpoint.controller.guard.case import GuardState, JudgedCommand
+from meshpoint.controller.guard.case import NO_PULLS, NO_SPANS, GuardState, JudgedCommand
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, SPLITTER, GuardLimits
 from meshpoint.controller.guard.view import GuardInputs
 
@@ -20,7 +20,7 @@ def note_sleeves(state: GuardState, seen: GuardInputs, limits: GuardLimits) -> N
     if not seen.valid:
         return
     for sleeve in limits.dog_sleeves:
-        mine = limits.valves_of(sleeve)
+        mine = limits.valves_of[sleeve]
         ends_us = [state.drives[valve].end_us for valve in mine if valve in state.drives]
         is_shut = all(
             seen.positions_us >= end_us + limits.valve_between_us[1] for end_us in ends_us
@@ -53,7 +53,7 @@ def _note_pulled(
     gear = state.pulled[sleeve]
     if abs(seen.positions_m[sleeve]) <= limits.in_mesh_m:
         gear.forget()
-    elif state.pulls.intersection(limits.valves_of(sleeve)):
+    elif state.pulls.intersection(limits.valves_of[sleeve]):
         gear.pull(seen.now_us, seen.gear_rad)
     elif stands:
         gear.stands(seen.now_us, seen.gear_rad, limits.free_rad)
@@ -62,7 +62,10 @@ def _note_pulled(
 def remember_drives(case: JudgedCommand) -> None:
     """Once a command has passed: which main valves have gone off, and from where those that are on
     set their sleeves going."""
-    state, stood_m = case.state, {}
+    state, stood_m = case.state, dict[int, float]()
+    if case.spans is NO_SPANS and state.spans is NO_SPANS:
+        state.stood_m, state.engages = stood_m, NO_PULLS
+        return
     for valve in case.limits.dogs:
         span, way_m = case.spans[valve], case.way_m(valve)
         if span is not None:

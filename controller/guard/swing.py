@@ -25,18 +25,13 @@ have room in it."""
 
 
 class Swing(NamedTuple):
-    """A shaft's newest speed, the rate at which it changes (rad/s2), and the extremes of both
-    within a period."""
+    """A shaft's newest speed, the rate at which it changes (rad/s2), and both within a period, the
+    newest last."""
 
     newest: ShaftSpeed
     rate_rad_s2: float
-    least_rad_s: float
-    most_rad_s: float
-    falls_rad_s2: float
-    """The fastest fall, negative; 0 where there was none."""
-    rises_rad_s2: float
-    speeds: tuple[ShaftSpeed, ...] = ()
-    """Those of a period, the newest last."""
+    speeds: tuple[ShaftSpeed, ...]
+    rates_rad_s2: tuple[float, ...]
 
     def between(self, from_us: float, until_us: float) -> tuple[float, float]:
         """Least and greatest speed (rad/s) between two times: as it swings; or else, from now on,
@@ -45,10 +40,9 @@ class Swing(NamedTuple):
         if swings is not None:
             return swings
         ahead_s = max(0.0, until_us - self.newest.time_us) * 1e-6
-        now = self.newest.omega_rad_s
-        least = max(self.least_rad_s, now + self.falls_rad_s2 * ahead_s)
-        most = min(self.most_rad_s, now + self.rises_rad_s2 * ahead_s)
-        return least, most
+        now, omegas = self.newest.omega_rad_s, [each.omega_rad_s for each in self.speeds]
+        falls, rises = min(0.0, *self.rates_rad_s2), max(0.0, *self.rates_rad_s2)
+        return max(min(omegas), now + falls * ahead_s), min(max(omegas), now + rises * ahead_s)
 
 
 class SwingMemory:
@@ -56,40 +50,33 @@ class SwingMemory:
 
     def __init__(self) -> None:
         self._speeds: deque[ShaftSpeed] = deque()
-        self._rates: deque[tuple[int, float]] = deque()
-        """Each with the time of its newer speed."""
+        self._rates: deque[float] = deque()
+        self._rated_us: deque[int] = deque()
+        """The time of each one's newer speed."""
 
     def forget(self) -> None:
         """The sensors' clock is another: nothing of before holds."""
         self._speeds.clear()
         self._rates.clear()
+        self._rated_us.clear()
 
     def take(self, speed: ShaftSpeed | None) -> Swing | None:
         """The newest speed, which may be the one before or none; None while no rate is known."""
         if speed is None:
             return None
-        speeds, rates = self._speeds, self._rates
+        speeds, rates, rated_us = self._speeds, self._rates, self._rated_us
         if not speeds or speed.time_us > speeds[-1].time_us:
             speeds.append(speed)
             self._add_rate()
         since_us = speeds[-1].time_us - PERIOD_US
         while speeds[0].time_us < since_us:
             speeds.popleft()
-        while rates and rates[0][0] < since_us:
+        while rated_us and rated_us[0] < since_us:
+            rated_us.popleft()
             rates.popleft()
-        if not rates or rates[-1][0] != speeds[-1].time_us:
+        if not rated_us or rated_us[-1] != speeds[-1].time_us:
             return None
-        omegas = [each.omega_rad_s for each in speeds]
-        per_s2 = [rate for _, rate in rates]
-        return Swing(
-            speeds[-1],
-            per_s2[-1],
-            min(omegas),
-            max(omegas),
-            min(0.0, *per_s2),
-            max(0.0, *per_s2),
-            tuple(speeds),
-        )
+        return Swing(speeds[-1], rates[-1], tuple(speeds), tuple(rates))
 
     def _add_rate(self) -> None:
         if len(self._speeds) <= RATE_SPEEDS:
@@ -97,5 +84,5 @@ class SwingMemory:
         newest, before = self._speeds[-1], self._speeds[-1 - RATE_SPEEDS]
         passed_us = newest.time_us - before.time_us
         if passed_us <= RATE_GAP_US:
-            rate_rad_s2 = (newest.omega_rad_s - before.omega_rad_s) / passed_us * 1e6
-            self._rates.append((newest.time_us, rate_rad_s2))
+            self._rates.append((newest.omega_rad_s - before.omega_rad_s) / passed_us * 1e6)
+            self._rated_us.append(newest.time_us)

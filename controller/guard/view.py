@@ -147,7 +147,7 @@ class GuardView:
         time that the step's commands are made for."""
         ear = self._ear
         # A step hears its frames message by message: after a hang their times go back and forth.
-        heard_us = sorted(ear.take(frames, step_us))
+        heard_us = sorted(set(ear.take(frames, step_us)))
         if ear.has_restarted:
             self._begin_anew()
         is_new = False

@@ -12,7 +12,6 @@ from meshpoint.controller.estimate.loaded_kernels import (
     LOADED_MODEL,
     LOADED_STATES,
     follow_loaded,
-    gear_measurements,
     loaded_ahead,
 )
 from meshpoint.controller.measure import gate_kernels, inputs
@@ -113,7 +112,6 @@ def _warm_up_swing() -> None:
     lash.outlook(0.1, 0.01, 1)
     loaded = np.ones((LOADED_STATES, LOADED_STATES))
     model_of_load = np.ones(LOADED_MODEL.itemsize // WORD_BYTES)
-    gear_measurements(np.ones((2, 1)), np.ones((2, 1)), 1.0, 1.0, 1.0, np.ones((2, 1)))
     loaded_ahead(loaded[0].copy(), loaded, 1e-3, model_of_load)
     follow_loaded(
         loaded[0].copy(), loaded, np.zeros(2), np.ones((2, 1)), 1.0, np.ones(2), model_of_load

@@ -109,10 +109,8 @@ class Sleeves:
         """By so much longer than its current a pulse may be, its valve late to shut."""
         self._now_us = 0
         self._expected: dict[ValveName, list[tuple[int, bool]]] = {}
-        self._abort_after_us: dict[DogGear, int] = {}
-        """By gear: so long after a firing the last abort comes."""
-        self._abort_known: dict[DogGear, tuple[int, int]] = {}
-        """By what that was worked out, unless that has changed since."""
+        self._abort_after: dict[DogGear, tuple[tuple[int, int], int]] = {}
+        """By gear: for what it was worked out, and so long after a firing the last abort comes."""
         self._learned: set[Sleeve] = set()
         """Those of which this step has learned something."""
         sleeves = (*MAIN_SLEEVES, Sleeve.SPLITTER) if sheet.has_dog_splitter else MAIN_SLEEVES
@@ -178,7 +176,7 @@ class Sleeves:
 
     def _tell_scatter(self) -> None:
         self._from_rest.clear()
-        self._abort_known.clear()
+        self._abort_after.clear()
         for gear in self._gears:
             side = _SIDES[gear]
             self._sleeves[side.sleeve].switch_sd_s[side.valve] = self._chances[gear].scatter_s
@@ -297,11 +295,11 @@ class Sleeves:
         side = _SIDES[gear]
         tracked = self._sleeves[side.sleeve]
         known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
-        before, near_us = self._abort_known.get(gear), self._abort_after_us.get(gear)
-        if before is None or (before != known and side.sleeve not in self._learned):
-            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction, near_us)
-            self._abort_after_us[gear], self._abort_known[gear] = last_us or 0, known
-        return self._abort_after_us[gear]
+        found = self._abort_after.get(gear)
+        if found is None or (found[0] != known and side.sleeve not in self._learned):
+            last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
+            found = self._abort_after[gear] = known, last_us or 0
+        return found[1]
 
     def abort(self, gear: DogGear, at_us: int) -> Halt:
         """How a sleeve on its way to this gear is stopped from then on, and where it will stand."""

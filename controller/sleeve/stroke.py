@@ -64,7 +64,6 @@ ALONE_SHARE: Final = 0.4
 """A sleeve that stops by itself within this share of its way to the teeth is not braked."""
 NEARLY_M: Final = 1e-4
 ABORT_STEP_US: Final = 250
-FAR_US: Final = 1 << 62
 
 LONGEST_PULL_US: Final = 60_000
 PULL_STEP_US: Final = 100
@@ -216,46 +215,25 @@ def aborted(switches: list[Switch], direction: int, at_us: int, pulse_us: int) -
 
 
 def latest_abort_us(
-    sleeve: DrivenSleeve,
-    direction: int,
-    fired: list[Switch],
-    earliest_us: int,
-    contact_us: int,
-    near_us: int | None = None,
+    sleeve: DrivenSleeve, direction: int, fired: list[Switch], earliest_us: int, contact_us: int
 ) -> int | None:
     """The latest abort, no sooner than `earliest_us`, after which the sleeve stops short; by
-    bisection: the later the abort, the further it gets. near_us: what it was when it was last
-    worked out; asked for either side of that, most of the bisection is answered."""
-    early, late = earliest_us, max(contact_us, earliest_us + 1)
-    stopped_us, missed_us = early - 1, FAR_US
-
-    def is_in_time(at_us: int) -> bool:
-        nonlocal stopped_us, missed_us
-        if stopped_us < at_us < missed_us:
-            if stops(sleeve, direction, fired, at_us):
-                stopped_us = at_us
-            else:
-                missed_us = at_us
-        return at_us <= stopped_us
-
-    for at_us in () if near_us is None else (near_us - ABORT_STEP_US, near_us + ABORT_STEP_US):
-        if at_us > early:
-            is_in_time(at_us)
-    if not is_in_time(early):
+    bisection: the later the abort, the further it gets."""
+    if not stops(sleeve, direction, fired, earliest_us):
         return None
+    early, late = earliest_us, max(contact_us, earliest_us + 1)
     while late - early > ABORT_STEP_US:
         middle = (early + late) // 2
-        early, late = (middle, late) if is_in_time(middle) else (early, middle)
+        in_time = stops(sleeve, direction, fired, middle)
+        early, late = (middle, late) if in_time else (early, middle)
     return early
 
 
-def latest_from_neutral_us(
-    sleeve: DrivenSleeve, direction: int, near_us: int | None = None
-) -> int | None:
+def latest_from_neutral_us(sleeve: DrivenSleeve, direction: int) -> int | None:
     """The same of a sleeve that rests in neutral and is fired at 0."""
     fired = [Switch(0, valve_towards(direction), True)]
     contact_us = to_contact(sleeve, direction, fired).crossed_us or 0.0
-    return latest_abort_us(sleeve, direction, fired, 0, int(contact_us), near_us)
+    return latest_abort_us(sleeve, direction, fired, 0, int(contact_us))
 
 
 def halted(sleeve: DrivenSleeve, direction: int, at_us: int) -> Halt:

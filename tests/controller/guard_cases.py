@@ -69,11 +69,20 @@ def speeds(
     return a, b, c, d
 
 
+def swing_within(
+    newest: Speed, rate_rad_s2: float, least_rad_s: float, most_rad_s: float,
+    falls_rad_s2: float = 0.0, rises_rad_s2: float = 0.0,
+) -> Swing:  # fmt: skip
+    """A shaft that has been as slow and as fast within a period, and has changed so fast."""
+    speeds = tuple(newest._replace(omega_rad_s=each) for each in (least_rad_s, most_rad_s))
+    return Swing(newest, rate_rad_s2, speeds, (falls_rad_s2, rises_rad_s2))
+
+
 def calm(turning: tuple[Speed, Speed, Speed, Speed]) -> tuple[Swing, Swing]:
     """Layshaft and main shaft as they are if they have turned at these speeds for a period."""
     _, *both, _ = turning
     layshaft, main = (
-        Swing(speed, 0.0, speed.omega_rad_s, speed.omega_rad_s, 0.0, 0.0) for speed in both
+        swing_within(speed, 0.0, speed.omega_rad_s, speed.omega_rad_s) for speed in both
     )
     return layshaft, main
 

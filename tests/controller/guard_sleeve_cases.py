@@ -7,11 +7,10 @@ far outside row 3's window, so that row 3 tells where its valve counts as engagi
 
 from __future__ import annotations
 
-from guard_cases import LIMITS, NEUTRAL, NOW, encoded, place, ready, speeds
+from guard_cases import LIMITS, NEUTRAL, NOW, encoded, place, ready, speeds, swing_within
 
 from meshpoint.controller.guard.case import MAIN_VALVES
 from meshpoint.controller.guard.rules import Guard
-from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 
@@ -28,7 +27,7 @@ def at(ms: float, way_mm: float = 0.0, speed_m_s: float = 0.0, late_ms: float = 
     """So long after NOW: the sleeve sampled `late_ms` ago, toward second gear; the shafts calm."""
     now_us = NOW + round(1e3 * ms)
     a, b, c, d = (each._replace(time_us=now_us - 10_000) for each in speeds(slip_rpm=slip_rpm))
-    calm = [Swing(each, 0.0, 0.0, 1e3, 0.0, 0.0) for each in (b, c)]
+    calm = [swing_within(each, 0.0, 0.0, 1e3) for each in (b, c)]
     return place(NEUTRAL, 0, 1e-3 * way_mm)._replace(
         now_us=now_us, positions_us=now_us - round(1e3 * late_ms), speeds=(a, b, c, d),
         speeds_m_s=(speed_m_s, 0.0), means_m_s=(speed_m_s, 0.0), swings=(calm[0], calm[1]),

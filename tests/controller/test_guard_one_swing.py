@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 
 import pytest
+from guard_cases import swing_within
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.guard import one_swing
 from meshpoint.controller.guard.own_speed import ShaftSpeed
-from meshpoint.controller.guard.swing import Swing, SwingMemory
+from meshpoint.controller.guard.swing import SwingMemory
 from meshpoint.units import RPM, TURN
 
 START_US = (1 << 32) + 300_000
@@ -93,7 +94,9 @@ def test_it_is_narrower_than_how_far_the_shaft_has_been() -> None:
     assert known is not None
     newest_us = known.newest.time_us
     assert known.between(newest_us + 40_000.0, newest_us + 50_000.0) == found
-    before = known._replace(speeds=()).between(newest_us + 40_000.0, newest_us + 50_000.0)
+    omegas, rates = [speed.omega_rad_s for speed in known.speeds], known.rates_rad_s2
+    as_far = swing_within(known.newest, 0.0, min(omegas), max(omegas), min(rates), max(rates))
+    before = as_far.between(newest_us + 40_000.0, newest_us + 50_000.0)
     assert before[1] - before[0] > 220.0 * RPM
 
 
@@ -139,7 +142,7 @@ def test_a_shaft_that_rattles_in_its_backlash_meets_no_swing() -> None:
 
 
 def test_a_swing_of_which_nothing_is_known_is_bounded_as_before() -> None:
-    calm = Swing(ShaftSpeed(START_US, 50.0), 0.0, 49.0, 51.0, -10.0, 20.0)
+    calm = swing_within(ShaftSpeed(START_US, 50.0), 0.0, 49.0, 51.0, -10.0, 20.0)
     assert calm.between(START_US + 10_000.0, START_US + 20_000.0) == (49.8, 50.4)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import pytest
-from guard_cases import NOW, SETTINGS, payload, ready
+from guard_cases import NOW, SETTINGS, payload, ready, swing_within
 
 from meshpoint.controller.guard.case import JudgedCommand, decode, spans
 from meshpoint.controller.guard.limits import guard_limits
@@ -19,7 +19,6 @@ from meshpoint.controller.guard.rules import (
     slip_out_of_its_window,
     two_sleeves_of_the_main_box,
 )
-from meshpoint.controller.guard.swing import Swing
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.gearbox import MainGear, Split, load_sheet
@@ -45,7 +44,7 @@ def at(
     )
     a, b, c, d = (ShaftSpeed(NOW - 10_000, omega) for omega in turning)
     e, f, g = (
-        Swing(speed, 0.0, speed.omega_rad_s, speed.omega_rad_s, 0.0, 0.0) for speed in (b, c, a)
+        swing_within(speed, 0.0, speed.omega_rad_s, speed.omega_rad_s) for speed in (b, c, a)
     )
     return GuardInputs(
         NOW, (0.0, IN_THIRD, splitter_m, 0.012), 0.0, 9.5e5, 1.013e5, (a, b, c, d), 0,

@@ -31,7 +31,6 @@ from meshpoint.controller.estimate.loaded_kernels import (
     WHEELS,
     WRONG,
     beyond_flanks,
-    gear_measurements,
     loaded_ahead,
 )
 from meshpoint.controller.models.twist import CREEP as TWIST_CREEP
@@ -345,18 +344,3 @@ def test_edges_that_are_no_driveline_are_given_up() -> None:
         for layshaft, main, load in drive.steps:
             loaded.take(DRIVE_GEARS[3], layshaft, main, load, SHAFTS)
         assert loaded.behind(drive.end_us) is not None
-
-
-def test_a_step_s_edges_are_measurements_of_the_gear_by_plain_means() -> None:
-    """Edges a millisecond apart, four to a measurement; the main shaft 0.1 rad before its line."""
-    times_us = 1e6 + np.array([0.0, 900.0, 2100.0, 3000.0, 4200.0, 5100.0, 6000.0, 7300.0, 8100.0])
-    layshaft = np.array((times_us, 150.0 * 1e-6 * times_us))
-    main = np.array((times_us[:5] + 400.0, 300.0 * 1e-6 * (times_us[:5] + 400.0) + 0.1 / 0.5))
-    found = np.empty((2, 9))
-    count, apart = gear_measurements(layshaft, main, 0.5, 2.0, 4000.0, found)
-    groups = [slice(0, 4), slice(4, 8), slice(8, 9)]
-    assert count == len(groups)
-    for row, ratio in ((0, 1.0), (1, 0.5 * 2.0)):
-        means = [ratio * float(layshaft[row, group].mean()) for group in groups]
-        assert found[row, :count] == pytest.approx(means)
-    assert apart == pytest.approx(0.1)
