@@ -138,7 +138,7 @@ def test_a_sleeve_seen_to_move_as_pushed_is_braked_from_beyond_neutral_as_well(
 def test_and_no_longer_than_it_stops_short_for_what_is_beyond_its_push(
     way_mm: float, forbidden: int | None
 ) -> None:
-    """13 ms against 7: 6 beyond, and from 4.1 mm a pulse of 6.03 ms stops short, of 5.5 from 4.2."""
+    """13 ms against 7 are 6 more: from 4.1 mm a pulse of 6.03 stops short, from 4.2 one of 5.5."""
     guard = fired(on_ms=11.0)
     assert row(guard, at(18, way_mm, 0.05)) is None
     assert row(guard, at(20, way_mm, 0.05), {FIRST: (ON_AT, 22)}) == forbidden
