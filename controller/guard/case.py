@@ -243,8 +243,9 @@ class JudgedCommand(NamedTuple):
 
     def _brakes_us(self, valve: int, span: Span) -> float:
         """For so long this valve may be on against the push of the other one, which was on for so
-        much longer than this one and is off just now; 0 where there is none, or the sleeve is seen
-        to move on toward this valve's gear."""
+        much longer than this one and is off just now; where the sleeve is seen to move as pushed,
+        for as much longer as it stops short. 0 where there is none, or it is seen to move on toward
+        this valve's gear."""
         before, own = self.last_drive(OTHER_OF_DOG[valve]), self.drive_before(valve)
         gear = self.limits.dogs[valve]
         if (
@@ -254,6 +255,8 @@ class JudgedCommand(NamedTuple):
         ):
             return 0.0
         left_us = before.driven_us - (0 if own is None else own.driven_us)
+        if left_us > 0 and self.seen.means_m_s[gear.sleeve] * gear.direction <= -LEAVING_M_S:
+            left_us += int(longest_pulse_us(self.limits, self.set_off_m(valve, span)))
         return float(max(0, min(REACT_US, left_us)))
 
     def last_drive(self, valve: int) -> Drive | None:

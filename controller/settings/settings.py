@@ -231,6 +231,10 @@ class GuardSettings:
         most_rad_s = self.slip_high_rad_s + SPEEDS_RAD_S
         return not least_rad_s <= slip_rad_s <= most_rad_s
 
+    def may_be_outside(self, measured_rad_s: float) -> bool:
+        """Whether one measured at this slip may have been: two speeds hide as much as they add."""
+        return not self.slip_low_rad_s <= measured_rad_s <= self.slip_high_rad_s
+
 
 @dataclass(frozen=True)
 class ControllerSettings:

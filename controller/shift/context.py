@@ -204,12 +204,12 @@ class ShiftContext:
             self.brake_gauges.popleft()
 
     def _turns_against(self, gear: DogGear, snapshot: StepSnapshot) -> bool:
-        """Whether a gear turns against its sleeve faster than the guard lets any be fired, by the
-        measured speeds. Of the splitter it is the sleeve that comes from above."""
+        """Whether a gear may turn against its sleeve faster than the guard lets any be fired, by
+        the measured speeds. Of the splitter it is the sleeve that comes from above."""
         slip_rad_s = snapshot.speeds.slip_rad_s(gear)
         if slip_rad_s is not None and isinstance(gear, SplitGear):
             slip_rad_s = -slip_rad_s
-        return slip_rad_s is not None and self.settings.guard.is_outside(slip_rad_s)
+        return slip_rad_s is not None and self.settings.guard.may_be_outside(slip_rad_s)
 
     def notify_actuators(self, now_us: int) -> None:
         """What this step has commanded of the main sleeves' valves."""

@@ -121,6 +121,29 @@ def test_a_valve_brakes_one_push_once() -> None:
     assert row(guard, at(30), {FIRST: (ON_AT, 32)}) == 3
 
 
+@pytest.mark.parametrize(("speed_m_s", "forbidden"), [(0.05, None), (0.049, 3)])
+def test_a_sleeve_seen_to_move_as_pushed_is_braked_from_beyond_neutral_as_well(
+    speed_m_s: float, forbidden: int | None
+) -> None:
+    """Pushed back for 10 ms from 3.9 mm on first gear's side. Red before: as a command can end a
+    pulse no sooner than 13 ms after it began, its brake was kept back, and it met second gear at
+    -72 rpm."""
+    guard = fired(on_ms=8.0)
+    assert row(guard, at(18, -1.6, speed_m_s)) is None
+    brake = {FIRST: (ON_AT, 22)}
+    assert row(guard, at(20, -1.6, speed_m_s), brake) == forbidden
+
+
+@pytest.mark.parametrize(("way_mm", "forbidden"), [(-4.2, 3), (-4.1, None)])
+def test_and_no_longer_than_it_stops_short_for_what_is_beyond_its_push(
+    way_mm: float, forbidden: int | None
+) -> None:
+    """13 ms against 7 are 6 more: from 4.1 mm a pulse of 6.03 stops short, from 4.2 one of 5.5."""
+    guard = fired(on_ms=11.0)
+    assert row(guard, at(18, way_mm, 0.05)) is None
+    assert row(guard, at(20, way_mm, 0.05), {FIRST: (ON_AT, 22)}) == forbidden
+
+
 def test_two_short_pushes_are_not_braked_as_if_they_were_one_long_one() -> None:
     """5 ms each within 20, before the sleeve is seen to stand: the brake could be off after 15."""
     guard = fired()

@@ -23,12 +23,15 @@ from shift_box import (
     ticking,
 )
 
+from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, Sleeve
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+from meshpoint.units import RPM
 
 
 def silent_clutch(box: Box) -> None:
@@ -502,3 +505,21 @@ def test_the_brakes_pressure_is_remembered_for_as_long_at_any_tick(tick_ms: int)
         times_us = [time_us for time_us, _ in box.sequence.brake_gauges]
         assert times_us[-1] == box.now_us
         assert 60_000 <= times_us[-1] - times_us[0] <= 80_000
+
+
+@pytest.mark.parametrize(
+    ("slip_rpm", "fault"),
+    [(-60.5, FaultCode.SLIP_AT_CONTACT), (-59.5, FaultCode.NONE), (119.5, FaultCode.NONE),
+     (120.5, FaultCode.SLIP_AT_CONTACT)],
+)  # fmt: skip
+def test_a_contact_that_may_have_been_outside_the_window_is_a_fault(
+    slip_rpm: float, fault: FaultCode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two speeds that are 10 rpm wrong hide a slip of -70 rpm as one of -60. Red before: a sleeve
+    met its gear at -72 rpm in a shift without a fault."""
+    box, gear = aimed(*UP[:2]), MainGear.FIRST
+    monkeypatch.setattr(Sleeves, "reached", lambda _: [gear])
+    layshaft = (box.main + slip_rpm * RPM) / SHEET.main_mesh(gear).ratio
+    speeds = ShaftSpeeds(SHEET, None, layshaft, box.main, None)
+    box.sequence.sense_sleeves(box.snapshot(speeds=speeds))
+    assert box.sequence.fault is fault
