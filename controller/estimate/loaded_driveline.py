@@ -96,6 +96,8 @@ class Load(NamedTuple):
     """Whether the clutch's plates carry it."""
     drag_nm: float
     """Of the free gearbox, at the layshaft."""
+    has_input: bool = True
+    """Whether the input shaft turns with the layshaft: not while a splitter is between steps."""
 
 
 class Shafts(NamedTuple):
@@ -118,6 +120,14 @@ class DrivelineMotion(NamedTuple):
     """Half of the backlash by which it was found."""
 
 
+class HeldLayshaft(NamedTuple):
+    """A layshaft that a gear in mesh holds, rad/s."""
+
+    omega_rad_s: float
+    steady_rad_s: float
+    """Its speed if the driveline did not swing: the vehicle's."""
+
+
 class InGear(NamedTuple):
     """What a gear makes of the shafts: ratios, and what turns and drags at the propeller shaft."""
 
@@ -133,6 +143,8 @@ class InGear(NamedTuple):
     """The clutch open."""
     loose_nm: float
     """Drag behind the gearbox."""
+    input_kgm2: float
+    """Of what turns, the input shaft's part."""
 
 
 def in_gear(sheet: GearboxSheet, gear: DriveGear) -> InGear:
@@ -151,6 +163,7 @@ def in_gear(sheet: GearboxSheet, gear: DriveGear) -> InGear:
         behind,
         turned,
         axle.loose_nm / behind,
+        sheet.shafts.input_inertia_kgm2 * overall**2,
     )
 
 
@@ -163,7 +176,7 @@ class LoadedDriveline:
         self._gear: DriveGear | None = None
         self._carried, self._load_nm, self._drag_nm = False, 0.0, 0.0
         self._model, self._followed = np.zeros(0), RecordMemory(FOLLOWED)
-        self._model_of: tuple[InGear, bool, Shafts] | None = None
+        self._model_of: tuple[InGear, float, Shafts] | None = None
         """What the model was worked out for; torque and teeth are each step's own."""
         self._x, self._p = np.zeros(LOADED_STATES), np.zeros((LOADED_STATES, LOADED_STATES))
         least, most = sheet.driveline.vehicle_kgm2
@@ -183,9 +196,9 @@ class LoadedDriveline:
         gear: the one in mesh; None: none is, or it is not known."""
         if gear is None or layshaft.shape[1] < LEAST_EDGES or main.shape[1] < LEAST_EDGES:
             return
-        if gear != self._gear:
-            self._gear = gear
+        if not self._goes_on(gear):
             self.lose()
+        self._gear = gear
         mesh = self._gears[gear]
         edges = np.array((layshaft[0], layshaft[1] * mesh.range_ * mesh.main))
         tooth = _tooth_rad(edges, main[0], mesh.range_ * main[1])
@@ -199,6 +212,14 @@ class LoadedDriveline:
                 time_us, angle = measurements[:, 0].tolist()
                 self._begin(time_us, angle, mesh, shafts)
                 measurements = measurements[:, 1:]
+
+    def _goes_on(self, gear: DriveGear) -> bool:
+        """Whether the layshaft is still in the gear that is followed. A splitter with dog teeth
+        changes with the main box in gear."""
+        before = self._gear
+        if before is None or not self._sheet.has_dog_splitter:
+            return gear == before
+        return (gear.main, gear.range_) == (before.main, before.range_)
 
     def _measure(self, measurements: Vector, mesh: InGear) -> Vector:
         """Returns what is left of them where it has lost the driveline."""
@@ -214,7 +235,7 @@ class LoadedDriveline:
     def _load(self, mesh: InGear, load: Load, shafts: Shafts, tooth_rad: float) -> None:
         """What the kernel takes as known in this step."""
         engine, axle, ratio = self._sheet.engine, self._sheet.axle, mesh.overall
-        turned = mesh.turned_kgm2
+        turned = mesh.turned_kgm2 - (0.0 if load.has_input else mesh.input_kgm2)
         drag_nm = mesh.layshaft * load.drag_nm + axle.pinion_nm + mesh.loose_nm
         driving_nm, wrong_nm = -drag_nm, OPEN_NM
         if load.carries:
@@ -225,10 +246,10 @@ class LoadedDriveline:
             self._x[WRONG], self._p[WRONG, :], self._p[:, WRONG] = 0.0, 0.0, 0.0
             self._p[WRONG, WRONG] = (ratio * OPEN_NM) ** 2
         self._carried, self._load_nm, self._drag_nm = load.carries, load.torque_nm, drag_nm
-        if self._model_of == (mesh, load.carries, shafts):
+        if self._model_of == (mesh, turned, shafts):
             self._model[DRIVING], self._model[TOOTH] = driving_nm, tooth_rad
             return
-        self._model_of = mesh, load.carries, shafts
+        self._model_of = mesh, turned, shafts
         chance = 2.0 * axle.propeller_chance_nm**2 * axle.chance_s
         road = 2.0 * axle.road_chance_nm**2 * axle.road_chance_s
         self._model = filled(
@@ -325,6 +346,16 @@ class LoadedDriveline:
             lag_s=self._sheet.engine.lag_s,
         )
         return Twist(figures, state)
+
+    def layshaft(self, time_us: float) -> HeldLayshaft | None:
+        """The layshaft soon after the newest measurement, as the driveline turns it; None where the
+        gear was not followed for long enough."""
+        found = self._at(time_us)
+        if found is None or self._gear is None:
+            return None
+        (x, _), mesh = found, self._gears[self._gear]
+        turns = mesh.main * mesh.range_
+        return HeldLayshaft(float(x[GEAR_SPEED]) / turns, float(x[VEHICLE]) / turns)
 
     def behind(self, time_us: float) -> DrivelineMotion | None:
         """The driveline behind the gearbox at a time soon after the newest measurement; None where

@@ -245,13 +245,15 @@ class Observer:
         if self._learners is None:
             return
         view, (tracker, shaft) = self.view, self._learners
-        gear = DRIVE_GEARS.get(view.gear_number)
+        has_input = view.split is not None or not self._sheet.has_dog_splitter
+        number = view.gear_number if has_input else view.number_with(self._split)
+        gear = DRIVE_GEARS.get(number)
         if gear is None or tracker.free:
             return
         shafts, torque_nm = shaft.shafts(gear.range_), self._torque_nm
         if shafts is None or torque_nm is None or view.clutch_closed is None:
             return
-        load = Load(torque_nm, view.clutch_carries, tracker.own_drag_nm)
+        load = Load(torque_nm, view.clutch_carries and has_input, tracker.own_drag_nm, has_input)
         self.loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
 
     def _see_synchronisers(self, now_us: int) -> None:

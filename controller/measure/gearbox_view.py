@@ -359,7 +359,11 @@ class GearboxView:
     @property
     def gear_number(self) -> int:
         """The gear in mesh: 1..14, 0 neutral, -1 between gears or not known."""
-        main, split, range_ = self.main_gear, self.split, self.range_
+        return self.number_with(self.split)
+
+    def number_with(self, split: Split | None) -> int:
+        """The same, were the splitter in this step."""
+        main, range_ = self.main_gear, self.range_
         if main is MainGear.NEUTRAL:
             return 0
         if main is None or split is None or range_ is None:
