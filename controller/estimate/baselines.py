@@ -159,7 +159,13 @@ class BaselineTracker:
         self._model, self._inertia_kgm2 = models.motion, models.inertia_kgm2
         self._filter.model[:] = models.thesis
 
-    def set_free(self, free: bool, time_us: float, events: list[str]) -> None:  # noqa: ARG002
+    def set_free(
+        self,
+        free: bool,
+        time_us: float,
+        events: list[str],  # noqa: ARG002
+        is_shifting: bool = True,  # noqa: ARG002
+    ) -> None:
         """The model begins or ceases to hold. It begins once there is a speed to begin with."""
         if free and not self._free:
             self._free = self._start(time_us)

@@ -79,9 +79,11 @@ class LayshaftTracker(Protocol):
     def set_models(self, models: LayshaftModels) -> None:
         """Takes new models, after a change of the splitter or of the brake's law."""
 
-    def set_free(self, free: bool, time_us: float, events: list[str]) -> None:
+    def set_free(
+        self, free: bool, time_us: float, events: list[str], is_shifting: bool = True
+    ) -> None:
         """The free model begins or ceases to apply; lines on what was learned are added to
-        `events`."""
+        `events`. Out of a shift (is_shifting) somebody else may turn the layshaft."""
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew."""
@@ -148,6 +150,9 @@ class CrossingTracker(WheelTracker[LearningTask]):
         self._inertia_kgm2 = 1.0
         self._free_edges = 0
         self._run = FreeRun(tuning)
+        self._is_of_shift = False
+        """Whether the free run began in a shift. One that did not teaches nothing: on a stand or in
+        a workshop the shafts are turned by others."""
         self.noise = [
             prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03),
             prior(tuning.torque_disturbance_nm, 3.0, (0.02, 100.0), 0.1),
@@ -211,10 +216,17 @@ class CrossingTracker(WheelTracker[LearningTask]):
         """The splitter's step or the brake's law is new."""
         self._model, self._inertia_kgm2 = models.motion, models.inertia_kgm2
 
-    def set_free(self, free: bool, time_us: float, events: list[str]) -> None:  # noqa: ARG002
+    def set_free(
+        self,
+        free: bool,
+        time_us: float,  # noqa: ARG002
+        events: list[str],
+        is_shifting: bool = True,
+    ) -> None:
         """The model begins or ceases to hold. It begins once there is a speed to begin with."""
         if free and not self._free and self._running:
             self._begin_free()
+            self._is_of_shift = is_shifting
         elif not free and self._free:
             self._end_free(events)
 
@@ -276,7 +288,8 @@ class CrossingTracker(WheelTracker[LearningTask]):
         state.forget_past()
         self._learn_teeth("layshaft", events)
         x = state.x
-        if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
+        is_told = self._is_of_shift and self._free_edges >= LEAST_FREE_EDGES
+        if is_told and np.isfinite(x).all():
             known.carry(x, state.p, self._inertia_kgm2)
             brake = BrakeInput(0)
             brake.follow(self._brake)

@@ -366,7 +366,7 @@ class Observer:
         if newest is None:
             return
         free = self._is_free
-        self.layshaft.set_free(free, newest.time_us, events)
+        self.layshaft.set_free(free, newest.time_us, events, self._is_shifting)
         if self._learners is not None:
             _, main = self._learners
             self._main_free = free or self._main_stays_free

@@ -14,8 +14,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.limits import (
+    CLEAR_M,
     CLUTCH_CLOSED_SHARE,
     GUARD_NEUTRAL_M,
+    LEAVING_M_S,
     GuardLimits,
     end_of,
 )
@@ -110,10 +112,21 @@ class DrivelineCase(NamedTuple):
         return self.seen.agreeing
 
     @property
-    def main_is_neutral(self) -> bool:
-        """Whether both main sleeves are proven neutral."""
-        farthest_m = max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1]))
-        return self.seen.valid and farthest_m <= GUARD_NEUTRAL_M and not self.seen.agreeing
+    def teeth_are_out(self) -> bool:
+        """Whether both main sleeves are clear of all teeth, in neutral or on their way there. The
+        plates meet later than a sleeve that turned back would be seen to."""
+        clear_m = self.limits.contact_m - CLEAR_M
+        return (
+            self.seen.valid
+            and not self.seen.agreeing
+            and all(
+                abs(at_m) <= GUARD_NEUTRAL_M
+                or (abs(at_m) <= clear_m and math.copysign(1.0, at_m) * goes_m_s < LEAVING_M_S)
+                for at_m, goes_m_s in zip(
+                    self.seen.positions_m[:2], self.seen.speeds_m_s, strict=False
+                )
+            )
+        )
 
     def input_speeds(self) -> list[float]:
         """The input shaft's speed by its own sensor, and by each shaft that it is in mesh with;
@@ -201,9 +214,9 @@ def _turning_share(case: DrivelineCase) -> tuple[float, float]:
 
 
 def closing_onto_slip(case: DrivelineCase) -> bool:
-    """Row 15: the clutch closes with a gear in, or none proven out, on more slip than the sheet's
-    closest step leaves, or on a slip that is not known. Shafts that give no edges stand."""
-    if case.state.is_closed or case.main_is_neutral:
+    """Row 15: the clutch closes with a gear in, or teeth not proven out, on more slip than the
+    sheet's closest step leaves, or on a slip that is not known. Shafts that give no edges stand."""
+    if case.state.is_closed or case.teeth_are_out:
         return False
     engine = case.seen.engine_rad_s
     if engine is None or not case.seen.valid:

@@ -109,7 +109,9 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         bring_to_neutral(context, snapshot, stands=False)
     brake_ahead(context, snapshot)
     if gear is None or gear is MainGear.NEUTRAL:
-        raise_ahead(context, snapshot)
+        raise_ahead(context, snapshot, stays_out=_is_out(context, snapshot))
+    else:
+        context.clutch, context.engine_rad_s = ClutchAction.OPEN, None
     return None
 
 

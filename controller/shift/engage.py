@@ -52,6 +52,9 @@ SEEN_US: Final = 28 * MS_IN_US
 FLANK_STEP_US: Final = 2 * MS_IN_US
 FLANK_STEPS: Final = 100
 """A tooth in the gap is looked for at its flank in such steps, no further ahead than 0.2 s."""
+SURE: Final = 3.0
+"""A tooth surely lies at its flank where it would be this many standard deviations beyond it: a
+flank that the engine strikes takes 10 to 70 J."""
 
 CALLS: Final = 6
 """This often a sleeve may be recalled in one shift: each costs a gap's time."""
@@ -131,7 +134,7 @@ def _flank_us(context: ShiftContext, predictor: GearPredictor, contact_us: float
     dog = context.sheet.dog
     phases = predictor.trajectory(contact_us, FLANK_STEP_US, FLANK_STEPS).phase_rad
     off = phases - dog.pitch_rad * round(float(phases[0]) / dog.pitch_rad)
-    known_rad = predictor.phase_sd_rad(contact_us)
+    known_rad = SURE * predictor.phase_sd_rad(contact_us)
     is_past = np.abs(off) > dog.backlash_rad / 2.0 + known_rad
     return contact_us + FLANK_STEP_US * (is_past.argmax() if is_past.any() else FLANK_STEPS)
 

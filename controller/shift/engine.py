@@ -67,9 +67,18 @@ OVER_RAD_S: Final = 3.0
 """The slip may be this much more than asked for (30 rpm): the brake removes the surplus."""
 CARRIED_RAD_S: Final = 1.5
 """Plates carry the layshaft with the engine where the gear's slip by its own speed and by the
-engine's differ by less (15 rpm): both are some hundredths of a second old."""
+engine's differ by less (15 rpm), but for their ages."""
+OLDER_US: Final = 10 * MS_IN_US
+"""So much older a shaft's speed is than the engine's, which EEC1 says: it is a mean over edges."""
+NEAR_RAD_S: Final = 5.0
+"""An engine that will be this near (50 rpm) to the speed that a gear needs is asked for it."""
+HEARS_US: Final = 20 * MS_IN_US
+"""So old are a measured acceleration and what a request changes of it together, beyond the
+torque's own lag: a tick and the bus, there and back."""
 OVERSHOOT: Final = 1.05
 """The engine may come to so much more than it is asked for (docs/safety.md)."""
+MOST_SHARE: Final = 0.999
+"""Of the input shaft's limit an engine is asked for no more: rounding adds to it."""
 BEYOND_US: Final = 300 * MS_IN_US
 """For this long the speed that a gear needs may be above the input shaft's limit: a main shaft that
 swings comes back, a vehicle that rolls downhill does not."""
@@ -249,10 +258,9 @@ def too_slow(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
 
 def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Closes the clutch and asks the engine for speed, until the gear has the slip wanted."""
-    shift = context.running
     context.clutch = ClutchAction.CLOSE
     wanted, carried = _raised_slip(context, snapshot), _carried_slip(context, snapshot)
-    context.ask_engine(shift.target, wanted, snapshot)
+    _ask_to_rise(context, wanted, snapshot)
     if carried is not None and _comes_to(context, carried, wanted, snapshot):
         return Trigger.RAISED
     if _stays_beyond(context, wanted, snapshot):
@@ -267,13 +275,15 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 def _carried_slip(context: ShiftContext, snapshot: StepSnapshot) -> float | None:
     """The gear's slip (rad/s) by the engine's speed, where the plates carry the layshaft with it;
-    None where they do not, or a speed is not known."""
+    None where they do not, or a speed is not known. The layshaft's is the older one: it is behind
+    by what the engine has gained since."""
     slip = snapshot.speeds.slip_rad_s(context.running.target.main)
     main, engine = snapshot.speeds.main, snapshot.engine_rad_s
     if slip is None or main is None or engine is None:
         return None
     by_engine = _gear_over_engine(context) * engine - main
-    return by_engine if abs(slip - by_engine) < CARRIED_RAD_S else None
+    gained = _gear_over_engine(context) * context.torque.engine_rad_s2 * OLDER_US * US
+    return by_engine if abs(by_engine - gained - slip) < CARRIED_RAD_S else None
 
 
 def _comes_to(
@@ -287,7 +297,9 @@ def _comes_to(
     parting_s = meeting * clutch.open_delay_s + context.tick_us * US
     rate_rad_s2 = _gear_over_engine(context) * context.torque.engine_rad_s2
     comes = rate_rad_s2 * lag_s * (1.0 - math.exp(-parting_s / lag_s))
-    return -SHORT_RAD_S <= slip_rad_s + comes - wanted_rad_s <= OVER_RAD_S
+    over_rad_s = slip_rad_s + comes - wanted_rad_s
+    # One that is too fast and still rises would only come to more.
+    return over_rad_s >= -SHORT_RAD_S and (over_rad_s <= OVER_RAD_S or rate_rad_s2 > 0.0)
 
 
 def _gear_over_engine(context: ShiftContext) -> float:
@@ -296,15 +308,37 @@ def _gear_over_engine(context: ShiftContext) -> float:
     return sheet.main_mesh(gear.main).ratio * sheet.split_mesh(gear.split).ratio
 
 
-def raise_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
+def _ask_to_rise(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> bool:
+    """Asks the engine for the speed at which the new gear has a slip (rad/s); returns whether it
+    may turn so fast. Its own control creeps into a speed: it is asked for the most that it may,
+    until what its torque still adds once it is taken away brings it near enough."""
+    context.ask_engine(context.running.target, slip_rad_s, snapshot)
+    wanted, engine = context.engine_rad_s, snapshot.engine_rad_s
+    if wanted is None or engine is None:
+        return wanted is not None
+    runs_on_s = context.sheet.engine.lag_s + HEARS_US * US
+    if engine + context.torque.engine_rad_s2 * runs_on_s < wanted - NEAR_RAD_S:
+        context.engine_rad_s = context.sheet.limits.input_max_rad_s
+    return True
+
+
+def raise_ahead(context: ShiftContext, snapshot: StepSnapshot, *, stays_out: bool) -> None:
     """The engine rises for a gear that is too slow from when the old one is out of its teeth, so
-    that it has come to its speed when the plates meet. Not for a sleeve that has left neutral."""
-    shift, window = context.running, context.settings.window
-    slip = snapshot.speeds.slip_rad_s(shift.target.main)
-    is_too_slow = slip is not None and slip < window.contact_low_rad_s
-    context.engine_rad_s = None
-    if is_too_slow and snapshot.view.clutch_parted and not shift.returns:
-        context.ask_engine(shift.target, _raised_slip(context, snapshot), snapshot)
+    that it has come to its speed when the plates meet. They close as soon as the sleeves stay out:
+    one that falls short takes 0.1 s more to neutral. Not for a sleeve that has left neutral, nor
+    where the range changes the main shaft's speed before."""
+    shift, view, target = context.running, snapshot.view, context.running.target
+    slip = snapshot.speeds.slip_rad_s(target.main)
+    is_too_slow = slip is not None and slip < context.settings.window.contact_low_rad_s
+    closes = context.clutch is ClutchAction.CLOSE
+    context.engine_rad_s, context.clutch = None, ClutchAction.OPEN
+    if shift.returns or shift.changes_range or not is_too_slow:
+        return
+    if closes or view.clutch_parted:
+        may_rise = _ask_to_rise(context, _raised_slip(context, snapshot), snapshot)
+        is_only_main = view.split is target.split and view.range_ is target.range_
+        if stays_out and is_only_main and may_rise:
+            context.clutch = ClutchAction.CLOSE
 
 
 def _stays_beyond(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> bool:
@@ -348,7 +382,18 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     ahead_us = snapshot.earliest_us - snapshot.now_us + context.tick_us
     stroke_s = ahead_us * US + sleeve.delay_s + sleeve.delay_limit_s
     least = window.aim_slip_rad_s + ratio * drag_rad_s2 * (fall_s + stroke_s)
+    least = min(least, _most_slip(context, snapshot))
     return least + _braked_slip(context, least, snapshot)
+
+
+def _most_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
+    """The slip (rad/s) at which the input shaft turns as fast as it may; none where the gear itself
+    is too fast."""
+    speed = context.engine_speed(context.running.target, 0.0, snapshot)
+    if speed is None:
+        return math.inf
+    left_rad_s = MOST_SHARE * context.sheet.limits.input_max_rad_s - speed
+    return max(0.0, left_rad_s * _gear_over_engine(context))
 
 
 def _braked_slip(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> float:

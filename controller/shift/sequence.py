@@ -41,7 +41,7 @@ from meshpoint.controller.shift.table import (
 )
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.gearbox import MainGear, Sleeve
+from meshpoint.gearbox import DriveGear, MainGear, Sleeve
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
 
@@ -323,7 +323,7 @@ class ShiftSequence(ShiftContext):
             goal = DRIVE_GEARS[number]
             legs = (goal, next_leg(self.sheet, snapshot.view, goal))
             input_rad_s = propeller * max(map(self.sheet.overall_ratio, legs))
-            if input_rad_s * (RAISE_ROOM if _may_be_raised(number, snapshot.view) else 1.0) > top:
+            if input_rad_s * (RAISE_ROOM if self._may_be_raised(goal, snapshot) else 1.0) > top:
                 rpm = input_rad_s * 30.0 / math.pi
                 return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
         return None
@@ -333,6 +333,13 @@ class ShiftSequence(ShiftContext):
         neutral = view.main_gear is MainGear.NEUTRAL
         return self.sheet.has_dog_splitter and neutral and view.split is None
 
+    def _may_be_raised(self, goal: DriveGear, snapshot: StepSnapshot) -> bool:
+        """Whether the engine may have to raise the layshaft for this gear: in neutral it slows
+        down. Crawl gears have the highest numbers."""
+        before = DRIVE_GEARS.get(snapshot.view.gear_number)
+        ratio = self.sheet.overall_ratio
+        return before is None or ratio(goal) > ratio(before)
+
     def _propeller(self, snapshot: StepSnapshot) -> float | None:
         """Propeller shaft speed (rad/s); with its sensor silent, that of the main shaft through the
         range that is in."""
@@ -340,11 +347,6 @@ class ShiftSequence(ShiftContext):
         if speeds.propeller is not None or speeds.main is None or range_ is None:
             return speeds.propeller
         return speeds.main * self.sheet.range_mesh(range_).ratio
-
-
-def _may_be_raised(number: int, view: GearboxView) -> bool:
-    """Whether the engine may have to raise the layshaft for this gear: in neutral it slows down."""
-    return view.main_gear is MainGear.NEUTRAL or number < view.gear_number
 
 
 def _shows_a_gear(view: GearboxView) -> bool:

@@ -14,7 +14,7 @@ from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, ShiftCon
 from meshpoint.controller.shift.engine import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import FaultCode, ShiftDecision
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_SLEEVES, SLEEVE_OF_MAIN
 from meshpoint.units import SECOND_US, US
@@ -47,7 +47,9 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     A gear that is too slow needs the engine (TOO_SLOW); one that is close enough needs no brake."""
     shift, now = context.running, snapshot.now_us
     gear = shift.target.main
-    # What was asked for while the old gear came out (`raise_ahead`) is asked for again if need be.
+    if context.clutch is ClutchAction.CLOSE:
+        return too_slow(context, snapshot)  # it is being raised already (`raise_ahead`)
+    # What was asked for while the old gear came out is asked for again if need be.
     context.engine_rad_s = None
     if context.late(snapshot, context.settings.limits.synchronise_ms):
         return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from test_brake_model import END_US, OFF_US, ON_US, OTHER, SHEET, TUNING, fresh, measured, motion_of
 
+from meshpoint.controller.estimate.brake_model import BrakeModel
 from meshpoint.controller.estimate.layshaft_tracker import CrossingTracker, LayshaftModels
 from meshpoint.controller.measure.gearbox_view import NO_SAMPLES, PressureSamples
 from meshpoint.controller.measure.wheel_edges import EdgeBatch
@@ -35,8 +36,10 @@ def between(samples: PressureSamples, from_us: int, to_us: int) -> PressureSampl
     return PressureSamples(*(column[inside] for column in samples))
 
 
-def learned(later_us: list[int]) -> BrakeRecord:
-    """What a run has taught that is learned after these further switches, on first."""
+def after_a_run(
+    later_us: list[int], is_shifting: bool = True
+) -> tuple[CrossingTracker, BrakeModel]:
+    """After a run, and these further switches, on first."""
     brake, known = BrakeInput(0), fresh()
     tracker = CrossingTracker(TUNING, brake, known, TEETH)
     tracker.set_models(
@@ -48,17 +51,32 @@ def learned(later_us: list[int]) -> BrakeRecord:
         if now_us == int(ON_US) + 100_000:
             brake.schedule(int(OFF_US), False, now_us)
         if now_us == FREE_US:
-            tracker.set_free(True, now_us, said)
+            tracker.set_free(True, now_us, said, is_shifting)
         pressures = between(samples, now_us - STEP_US, now_us) if tracker.free else NO_SAMPLES
         tracker.edges(edges(now_us - STEP_US, now_us), pressures)
     tracker.set_free(False, END_US, said)
     for number, time_us in enumerate(later_us):
         brake.schedule(time_us, number % 2 == 0, time_us)
+    return tracker, known
+
+
+def learned(later_us: list[int]) -> BrakeRecord:
+    """What such a run has taught."""
+    tracker, known = after_a_run(later_us)
     assert tracker.is_learning
     tracker.learn()
     record = known.record()
     assert record is not None
     return record
+
+
+def test_a_run_out_of_a_shift_teaches_nothing() -> None:
+    """A bench that turned the layshaft back taught a drag of 225 Nm: gears were raised beyond the
+    input shaft's limit, and ended in neutral."""
+    tracker, known = after_a_run([], is_shifting=False)
+    assert not tracker.is_learning
+    fresh_one = fresh()
+    assert (known.gain, known.drag_nm) == (fresh_one.gain, fresh_one.drag_nm)
 
 
 def test_a_run_teaches_the_delays_of_its_own_switches_each_way_by_itself() -> None:

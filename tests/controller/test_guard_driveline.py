@@ -9,6 +9,7 @@ import pytest
 from guard_cases import LIMITS, NOW, SHEET, calm
 
 from meshpoint.controller.guard.driveline import DrivelineGuard, decode_clutch, decode_engine
+from meshpoint.controller.guard.limits import CLEAR_M, LEAVING_M_S
 from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.view import GuardInputs
@@ -255,7 +256,14 @@ def test_row_15_closing_onto_slip(sign: float) -> None:
         seen = IN_GEAR._replace(engine_rad_s=(INPUT_RPM + sign * slip_rpm) * RPM)
         assert clutch_row(seen) == row
         assert clutch_row(seen._replace(positions_m=IN_NEUTRAL.positions_m)) is None
-        assert clutch_row(seen._replace(positions_m=(0.0016, 0.0, 0.012, -0.012))) == row
+        clear_m = LIMITS.contact_m - CLEAR_M
+        out, at_teeth = (
+            seen._replace(positions_m=(at_m, 0.0, 0.012, -0.012))
+            for at_m in (clear_m, clear_m + 1e-6)
+        )
+        assert clutch_row(out) is None
+        assert clutch_row(at_teeth) == row
+        assert clutch_row(out._replace(speeds_m_s=(LEAVING_M_S, 0.0))) == row
 
 
 def test_row_15_the_shaft_that_slips_most_counts() -> None:

@@ -21,7 +21,12 @@ from meshpoint.controller.guard.driveline import (
     closing_too_often,
     engine_beyond_the_gear,
 )
-from meshpoint.controller.guard.limits import CLUTCH_CLOSED_SHARE, GUARD_NEUTRAL_M
+from meshpoint.controller.guard.limits import (
+    CLEAR_M,
+    CLUTCH_CLOSED_SHARE,
+    GUARD_NEUTRAL_M,
+    LEAVING_M_S,
+)
 from meshpoint.gearbox import Split
 from meshpoint.units import RPM
 
@@ -60,12 +65,22 @@ def test_a_gear_is_in_from_just_beyond_its_limit() -> None:
     assert case(positions_m=at(-LIMITS.engaged_m - 1e-9)).gear_in_mesh == 3
 
 
-def test_the_main_box_is_neutral_where_both_sleeves_are() -> None:
-    for position_m, is_neutral in ((GUARD_NEUTRAL_M, True), (GUARD_NEUTRAL_M + 1e-9, False)):
+def test_the_teeth_are_out_where_both_sleeves_are_clear_and_none_comes_back() -> None:
+    clear_m = LIMITS.contact_m - CLEAR_M
+    for position_m, are_out in ((clear_m, True), (clear_m + 1e-9, False)):
         for positions in (at(position_m), at(0.0, position_m), at(0.0, -position_m)):
-            assert case(positions_m=positions).main_is_neutral is is_neutral
-    assert not case(positions_m=at(0.0), agreeing=4).main_is_neutral
-    assert not case(positions_m=at(0.0), valid=False).main_is_neutral
+            assert case(positions_m=positions).teeth_are_out is are_out
+    for sign in (-1.0, 1.0):
+        for goes_m_s, are_out in ((LEAVING_M_S, False), (LEAVING_M_S - 1e-9, True), (-1.0, True)):
+            moves = (0.0, sign * goes_m_s)
+            judged = case(positions_m=at(0.0, sign * clear_m), speeds_m_s=moves)
+            assert judged.teeth_are_out is are_out
+            in_neutral = case(positions_m=at(0.0, sign * GUARD_NEUTRAL_M), speeds_m_s=moves)
+            assert in_neutral.teeth_are_out
+            beyond = case(positions_m=at(0.0, sign * (GUARD_NEUTRAL_M + 1e-9)), speeds_m_s=moves)
+            assert beyond.teeth_are_out is are_out
+    assert not case(positions_m=at(0.0), agreeing=4).teeth_are_out
+    assert not case(positions_m=at(0.0), valid=False).teeth_are_out
 
 
 def test_the_speeds_that_a_closing_clutch_meets() -> None:
