@@ -58,7 +58,7 @@ clutch stuck open          | 10-8 | disengaging    | clutch_stuck         | neut
 clutch does not part       | 10-8 | speed_raising  | clutch_stuck         | neutral clutch_stuck neutral
 engine deaf                | 10-8 | in_gear        | engine_deaf          | neutral engine_failed neutral
 no brake                   | 8-10 | in_gear        | brake_fade           | in none in_gear
-brake stuck on             | 8-10 | synchronising  | valve_stuck 0        | neutral engine_failed neutral
+brake stuck on             | 8-10 | synchronising  | valve_stuck 0        | neutral synchronise_failed neutral
 valve that pulls out stuck | 8-10 | in_gear        | valve_stuck 4        | old disengage_failed in_gear
 valve that engages stuck   | 8-10 | coasting       | valve_stuck 4        | neutral engage_failed neutral
 valve slow                 | 8-10 | coasting       | valve_slow 4 40      | in none in_gear
