@@ -10,7 +10,7 @@ before it:
     estimate     angle and speed of the shafts; what is learned of teeth and brake; the angle
                  between gear teeth and sleeve teeth
     sleeve       where a main sleeve is and when it meets its gear, from its valves' commands
-    plan         when to release the brake and when to fire: and the strategies
+    plan         when to release the brake and when to fire: the strategies
     shift        the sequence of a shift, and its valve commands
     guard        passes a finished valve command or blocks it
     core         the step, and what is sent and logged about it

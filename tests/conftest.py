@@ -16,6 +16,7 @@ import shutil
 import signal
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 # a test starts and interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def channel() -> Iterator[str]:
+    """A bus of the test's own, for `-c`; a socket's path must be short."""
+    with tempfile.TemporaryDirectory(prefix="mp-", ignore_cleanup_errors=True) as folder:
+        yield f"unix:{folder}/bus.sock"
+
 
 UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", UNTIMED)

@@ -6,7 +6,7 @@ A new strategy: a file in this folder, and a line here. Its name is a value of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from meshpoint.controller.plan.gear_predictor import GearPredictor
@@ -19,7 +19,6 @@ from meshpoint.dbc.messages import ShiftDecision, Strategy
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.kinematics import wrap_to_pitch
 
-MakeStrategy = Callable[[GearboxSheet, ControllerSettings], EngagementStrategy]
 STRATEGIES: Final[Mapping[str, type[SpeedWindow | TargetPhase]]] = {
     "speed_window": SpeedWindow,
     "speed_window_anticipating": SpeedWindowAnticipating,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -76,10 +75,3 @@ def campaign() -> dict[tuple[str, int], dict[str, Any]]:
     for outcome in outcomes:
         assert_ended_well(outcome)
     return {key: outcome.json for key, outcome in zip(keys, outcomes, strict=True)}
-
-
-@pytest.fixture
-def channel() -> Iterator[str]:
-    """A private channel: a socket path short enough for the system's limit."""
-    with tempfile.TemporaryDirectory(prefix="mp-", ignore_cleanup_errors=True) as folder:
-        yield f"unix:{folder}/bus.sock"

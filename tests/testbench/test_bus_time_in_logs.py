@@ -8,23 +8,18 @@ from pathlib import Path
 
 import can
 import pytest
+from live_shift import one_shift
 
-from meshpoint.base.version import product_version
-from meshpoint.bench.bench import plan_shifts
-from meshpoint.bench.live import LiveRun, run_live
-from meshpoint.bench.simulate import LAYSHAFT_RAD_S
+from meshpoint.bench.live import run_live
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.bus_stamps import BusStamps
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.cli.main import main
-from meshpoint.controller.settings.header import new_header
-from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.logs.log_clock import LogClockFit
-from meshpoint.rig_sim.settings import Preset, RigSettings
 
 SHEET = load_sheet("thesis")
 BEGAN_S = 1.7e9
@@ -62,23 +57,7 @@ def test_a_live_run_s_log_is_by_the_clock_of_its_sensors(
 ) -> None:
     """One shift with bus time at a quarter of the wall's: read by read the log goes on as the
     sensors do, and it is repeated to the byte."""
-    header = new_header(product_version(), SHEET, ControllerSettings(), armed=True)
-    header.save(tmp_path)
-    (shift,) = plan_shifts(SHEET, [(8, 10)], 1, LAYSHAFT_RAD_S)
-    run = LiveRun(
-        header=header,
-        rig=RigSettings(
-            preset=Preset.THESIS,
-            seed=1,
-            start_gear=8,
-            main_speed_rpm=shift.main_rpm,
-        ),
-        plan=[shift],
-        log=tmp_path / "run.log",
-        open_bus=lambda: can.Bus(interface="virtual", channel=str(tmp_path)),
-        speed=0.25,
-        in_process=True,
-    )
+    run = one_shift(tmp_path, SHEET, 0.25)
     result = asyncio.run(run_live(run))
     assert [row.result for row in result.monitor.rows.rows] == ["engaged"]
     fit = LogClockFit()

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -266,12 +264,6 @@ def test_a_classic_device_is_refused_at_the_start_and_the_reason_of_the_no(
     assert main(["check", *words]) == 1
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith("NOT READY: open: can9 is set up for cla")
-
-
-@pytest.fixture
-def channel() -> Iterator[str]:
-    with tempfile.TemporaryDirectory(prefix="mpb-") as folder:
-        yield f"unix:{folder}/bus.sock"
 
 
 def test_over_the_local_bus_with_the_rig_as_the_other_side(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,12 +20,6 @@ from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.firmware.board import Firmware
 
 pytestmark = pytest.mark.timeout(900)
-
-
-@pytest.fixture
-def channel() -> Iterator[str]:
-    with tempfile.TemporaryDirectory(prefix="mpc-") as folder:
-        yield f"unix:{folder}/bus.sock"
 
 
 SPEED = ["--speed", "3"]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import shutil
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,14 +19,6 @@ from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ControllerStatus, ValveStatus
 from meshpoint.dbc.node import Node
 from meshpoint.run.free_bus import check_no_nodes, check_no_rig
-
-
-@pytest.fixture
-def channel() -> Iterator[str]:
-    """A socket's path must be short."""
-    folder = tempfile.mkdtemp(prefix="mp2-")
-    yield f"unix:{folder}/bus.sock"
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

@@ -9,13 +9,11 @@ from pathlib import Path
 
 import can
 import pytest
+from live_shift import one_shift
 
 from meshpoint.base.errors import RunError
-from meshpoint.base.version import product_version
 from meshpoint.bench import live
-from meshpoint.bench.bench import plan_shifts
 from meshpoint.bench.live import LiveRun, run_live
-from meshpoint.bench.simulate import LAYSHAFT_RAD_S
 from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
@@ -24,7 +22,7 @@ from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.replays.replay import LogReplay
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import RigSettings
 
 SHEET = load_sheet("truck12")
 
@@ -75,24 +73,7 @@ def test_a_run_that_failed_ends_with_1(
 def test_a_live_run_on_a_classic_bus_is_shown_and_verified(tmp_path: Path) -> None:
     """One shift, all nodes in this process: the bench hears its outcome, the log holds frames of
     8 bytes alone, and is repeated to the byte."""
-    header = new_header(product_version(), SHEET, ControllerSettings(), armed=True)
-    header.save(tmp_path)
-    (shift,) = plan_shifts(SHEET, [(8, 10)], 1, LAYSHAFT_RAD_S)
-    run = LiveRun(
-        header=header,
-        rig=RigSettings(
-            preset=Preset.THESIS,
-            seed=1,
-            start_gear=8,
-            main_speed_rpm=shift.main_rpm,
-        ),
-        plan=[shift],
-        log=tmp_path / "run.log",
-        open_bus=lambda: can.Bus(interface="virtual", channel=str(tmp_path)),
-        speed=1.0,
-        in_process=True,
-        wire=WireProfile.CLASSIC,
-    )
+    run = one_shift(tmp_path, SHEET, 1.0, WireProfile.CLASSIC)
     result = asyncio.run(run_live(run))
     assert [row.result for row in result.monitor.rows.rows] == ["engaged"]
     logged = [frame for _, frame in read_log(run.log)]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,14 +29,6 @@ pytestmark = [
     pytest.mark.timeout(900),
     pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here: the system is no Linux"),
 ]
-
-
-@pytest.fixture
-def channel() -> Iterator[str]:
-    """A bus of its own; a socket's path must be short."""
-    folder = tempfile.mkdtemp(prefix="mpg-")
-    yield f"unix:{folder}/bus.sock"
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

@@ -5,11 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,14 +52,6 @@ def wait_for_bytes(folder: Path, least: int) -> None:
         lambda: sum(path.stat().st_size for path in folder.glob("*")) >= least,
         f"{least} bytes in {folder}",
     )
-
-
-@pytest.fixture
-def channel() -> Iterator[list[str]]:
-    """A bus of its own; a socket's path must be short."""
-    folder = tempfile.mkdtemp(prefix="mpr-")
-    yield ["-i", "meshpoint", "-c", f"unix:{folder}/bus.sock"]
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def replay(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
@@ -135,17 +124,18 @@ def steps_in(parts: Path) -> int:
 
 @pytest.mark.long
 def test_killed_nodes_leave_logs_that_were_brought_up_to_date_meanwhile(
-    tmp_path: Path, channel: list[str], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, channel: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Both record the bus. The controller's log begins before its first step, so it repeats it."""
     parts, blf = tmp_path / "parts", tmp_path / "rig.blf"
     parts.mkdir()
-    rig = meshpoint("rig", *channel, "--log", str(blf))
-    controller = meshpoint("controller", *channel, "--log", f"{parts}/", "--log-size", "300kB")
+    bus = ["-i", "meshpoint", "-c", channel]
+    rig = meshpoint("rig", *bus, "--log", str(blf))
+    controller = meshpoint("controller", *bus, "--log", f"{parts}/", "--log-size", "300kB")
     try:
         wait_for_bytes(parts, 350_000)
         until(lambda: steps_in(parts) > 60, "60 steps of the controller", poll_s=0.5)
-        frame = heard_now(channel[-1])
+        frame = heard_now(channel)
         # Nobody ends the logs: what comes into them now, comes by itself.
         until(lambda: holds(blf, frame), "a frame of now in the rig's log", poll_s=0.5)
         until(

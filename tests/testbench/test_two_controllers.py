@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import threading
 from collections.abc import Iterator
 
@@ -18,16 +16,13 @@ from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
 
 
-@pytest.fixture
-def channel() -> Iterator[str]:
-    """A bus of its own, on which another controller reports its steps; a socket's path must be
-    short."""
-    folder = tempfile.mkdtemp(prefix="mp2-")
-    name = f"unix:{folder}/bus.sock"
+@pytest.fixture(autouse=True)
+def another(channel: str) -> Iterator[None]:
+    """Another controller reports its steps on the test's bus."""
     ending, other = threading.Event(), Transmitter(Node.TRANSMISSION_CONTROL)
 
     def report() -> None:
-        with MeshpointBus(name) as bus:
+        with MeshpointBus(channel) as bus:
             ready.set()
             while not ending.wait(0.01):
                 bus.send(message_of(other.encode(ControllerStatus())))
@@ -36,10 +31,9 @@ def channel() -> Iterator[str]:
     at_work = threading.Thread(target=report)
     at_work.start()
     ready.wait()
-    yield name
+    yield
     ending.set()
     at_work.join()
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def test_the_newcomer_says_why_it_leaves_and_ends_with_1(
