@@ -224,6 +224,7 @@ types: $(VENV)/test.stamp
 	tools/linked-tree
 	$(BIN)/mypy
 	$(BIN)/python -m meshpoint.dbc.stubs --check
+	$(BIN)/python -m meshpoint.dbc.schema --check
 
 # docs/reference/, from the code
 reference: $(VENV)/test.stamp
@@ -232,6 +233,7 @@ reference: $(VENV)/test.stamp
 
 # What is made from dbc/meshpoint.dbc and dbc/truck.dbc, after a change of them.
 dbc: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.dbc.schema
 	$(BIN)/python -m meshpoint.dbc.stubs
 	$(BIN)/python -m meshpoint.dbc.classic.make
 	$(BIN)/python -m meshpoint.dbc.j1939_view

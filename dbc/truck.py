@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.dbc.schema import parse_schema
+from meshpoint.dbc.schema import schema_of
 from meshpoint.dbc.source import DBC_PATH
 
 TRUCK_DBC: Final = DBC_PATH.with_name("truck.dbc")
 """Where it is."""
 TRUCK_CONTENT: Final = TRUCK_DBC.read_bytes()
-TRUCK_SCHEMA: Final = parse_schema(TRUCK_CONTENT, TRUCK_DBC.name)
+TRUCK_SCHEMA: Final = schema_of(TRUCK_DBC)
 """What it says."""

@@ -2,14 +2,16 @@
 
 import contextlib
 import hashlib
+import shutil
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.dbc import DBC_PATH, DBC_SHA256, Node
-from meshpoint.dbc.schema import SCHEMA, SchemaError, parse_schema
+from meshpoint.dbc.schema import OWN, SCHEMA, SchemaError, main, parse_schema, schema_of
 from meshpoint.dbc.specs import Schema
 
 SMALL = """VERSION "1.0"
@@ -228,3 +230,17 @@ def test_valves_outrank_edges_on_the_bus() -> None:
     edges = [can_id for name, can_id in identifiers.items() if name.startswith("Edges")]
     assert len(edges) == 8
     assert max(identifiers["ValveCommand"], identifiers["ClutchCommand"]) < min(edges)
+
+
+def test_what_is_written_beside_the_own_dbc_files_is_what_they_say() -> None:
+    assert main(["--check"]) == 0
+    for path in OWN:
+        assert schema_of(path) == parse_schema(path.read_bytes(), path.name)
+
+
+def test_a_dbc_that_was_changed_since_is_read_itself(tmp_path: Path) -> None:
+    path = tmp_path / "small.dbc"
+    path.write_bytes(SMALL.encode())
+    alone = schema_of(path)
+    shutil.copy(DBC_PATH.with_suffix(".json"), path.with_suffix(".json"))
+    assert schema_of(path) == alone == parse_schema(SMALL.encode(), path.name)
