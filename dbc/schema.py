@@ -304,8 +304,8 @@ def schema_of(path: Path) -> Schema:
     """What one of `OWN` says: by what was written beside it; one that was changed since is read
     itself."""
     content, written = path.read_bytes(), path.with_suffix(".json")
-    said = json.loads(written.read_bytes()) if written.exists() else {"sha256": None}
-    if said["sha256"] != hashlib.sha256(content).hexdigest():
+    said: dict[str, Any] = json.loads(written.read_bytes()) if written.exists() else {}
+    if said.get("sha256") != hashlib.sha256(content).hexdigest():
         return parse_schema(content, path.name)
     tables = {
         name: {int(raw): text for raw, text in table.items()}
