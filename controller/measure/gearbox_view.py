@@ -319,11 +319,6 @@ class GearboxView:
         """Whether a sleeve stands in the middle."""
         return abs(self.position_m(sleeve)) < VIEW_NEUTRAL_M
 
-    @property
-    def main_rests(self) -> bool:
-        """Whether both main sleeves stand, as far as the samples of a frame show."""
-        return all(map(self.rests, MAIN_SLEEVES))
-
     def rests(self, sleeve: Sleeve) -> bool:
         """Whether a sleeve stands, as far as the samples of a frame show."""
         samples_m = self.tracks[sleeve].samples_m
