@@ -139,8 +139,6 @@ class Channel:
     def note(self, good: bool) -> None:
         """What a frame came to, its values included. A lost channel is believed again only when the
         bad frames that came since have left the window."""
-        if good and self.is_valid and not self._bad:
-            return  # as nearly always: nothing changes
         self._bad = (self._bad << 1 | (not good)) & WINDOW_MASK
         self._good_in_a_row = self._good_in_a_row + 1 if good else 0
         if self._bad.bit_count() > MOST_BAD:

@@ -115,10 +115,8 @@ class GuardSpeed:
         they are sure and the wheel turns at its newest speed."""
         if speed is None or speed.omega_rad_s < SLOWEST_RAD_S or not self._reads:
             return None
-        newest_us, newest = self._reads[-1]
-        if read_us is None or read_us == newest_us:
-            return newest
-        return dict(self._reads).get(read_us, newest)
+        heard: dict[int | None, TeethCounted | None] = dict(self._reads)
+        return heard.get(read_us, self._reads[-1][1])
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:
@@ -126,14 +124,13 @@ def teeth_us(lows_us: tuple[int, ...]) -> list[int]:
     them and the one before it, are unlike: a sensor that was silent for longer than that looks like
     one slow tooth."""
     took: list[int] = []
-    span_us, least_us, most_us = 0, 0.0, math.inf
+    span_us = 0
     for later, earlier in itertools.pairwise(lows_us):
         tooth_us = (later - earlier) & LOW
-        if not least_us < tooth_us < most_us:
+        if tooth_us == 0 or (took and not took[-1] / UNLIKE < tooth_us < took[-1] * UNLIKE):
             return []
         if span_us >= MEASURED_US:
             break
         took.append(tooth_us)
         span_us += tooth_us
-        least_us, most_us = tooth_us / UNLIKE, tooth_us * UNLIKE
     return took

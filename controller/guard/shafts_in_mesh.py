@@ -120,11 +120,9 @@ class _Pair:
             return False
         if a.time_us <= before[0].time_us or b.time_us <= before[1].time_us:
             return False
-        a_before, b_before = before
-        self._teeth[0] += a.teeth - a_before.teeth
-        self._teeth[1] += b.teeth - b_before.teeth
-        self._took_us[0] += a.time_us - a_before.time_us
-        self._took_us[1] += b.time_us - b_before.time_us
+        for k, (late, early) in enumerate(zip((a, b), before, strict=True)):
+            self._teeth[k] += late.teeth - early.teeth
+            self._took_us[k] += late.time_us - early.time_us
         self._before = a, b
         return True
 
@@ -186,8 +184,6 @@ class ShaftsInMesh:
         ratios = self._ratios(positions_m)
         for k, pair in enumerate(pairs):
             pair.take(ratios[k], counts[k], counts[k + 1])
-        if not (self.in_doubt or self._is_news or Verdict.DENIED in [p.verdict for p in pairs]):
-            return
         for k, pair in enumerate(pairs):
             if before[k] is not Verdict.DENIED and pair.verdict is Verdict.DENIED:
                 self._is_news = True

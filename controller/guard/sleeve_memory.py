@@ -3,7 +3,7 @@ was set going, and since when it stands before a gear's teeth."""
 
 from __future__ import annotations
 
-from meshpoint.controller.guard.case import NO_PULLS, NO_SPANS, GuardState, JudgedCommand
+from meshpoint.controller.guard.case import GuardState, JudgedCommand
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, LEAVING_M_S, SPLITTER, GuardLimits
 from meshpoint.controller.guard.view import GuardInputs
 
@@ -62,10 +62,7 @@ def _note_pulled(
 def remember_drives(case: JudgedCommand) -> None:
     """Once a command has passed: which main valves have gone off, and from where those that are on
     set their sleeves going."""
-    state, stood_m = case.state, dict[int, float]()
-    if case.spans is NO_SPANS and state.spans is NO_SPANS:
-        state.stood_m, state.engages = stood_m, NO_PULLS
-        return
+    state, stood_m = case.state, {}
     for valve in case.limits.dogs:
         span, way_m = case.spans[valve], case.way_m(valve)
         if span is not None:
