@@ -62,8 +62,8 @@ class Clock(NamedTuple):
         return math.ceil(bus_us - self.offset_s / US) + MARGIN_US - self.zero_us
 
     def sampled_us(self, sensor_s: float) -> int:
-        """When a sample was taken."""
-        return round(sensor_s / US) - self.zero_us
+        """When a sample was taken: the series may have begun after the sensor clock's wrap."""
+        return self.stamped_us(round(sensor_s / US))
 
     def stamped_us(self, stamp: int) -> int:
         """The same of a 32-bit stamp."""

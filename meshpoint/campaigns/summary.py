@@ -72,11 +72,11 @@ class Shots:
         controller saw when it fired, and whether the tooth met a gap."""
         column = self.shifts.column
         phase, sd = column("predicted_phase_deg"), column("predicted_phase_sd_deg")
-        known = ~np.isnan(phase)
+        once = ~np.isnan(phase) & (column("attempts") == 1)
         half = 0.5 * column("pitch_deg") * column("backlash_percent") / 100.0
         sd = np.maximum(sd, LEAST_SD_DEG)
         said = ndtr((half - phase) / sd) - ndtr((-half - phase) / sd)
-        return said[known], self.is_gap[known]
+        return said[once], self.is_gap[once]
 
     def impacts(self) -> tuple[Vector, Integers]:
         """Loss in flank impacts, J, and the runs."""

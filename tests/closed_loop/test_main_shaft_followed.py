@@ -18,7 +18,7 @@ from meshpoint.rig_sim.settings import Profile
 
 SHEET = load_sheet("truck12")
 HALF_GAP_RAD = 0.5 * SHEET.dog.backlash_rad
-SHIFTS, LEARNED = 10, 6
+SHIFTS, LEARNED = 20, 6
 AHEAD_US, SETTLED_US = 30_000, 100_000
 RAISED = (ControllerState.SPEED_RAISING, ControllerState.CLUTCH_PARTING)
 

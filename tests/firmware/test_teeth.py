@@ -44,9 +44,9 @@ TOP_EDGES_S = [2.0 * 18.5 * each for each in (40, 43 * 35 / 37, 45, 42)]
 
 @pytest.fixture(scope="module")
 def rig() -> list[Timed]:
-    """The edge frames of two shifts on a loaded bus. The rig's clock wraps in them."""
+    """The edge frames of three shifts on a loaded bus. The rig's clock wraps in them."""
     frames = [
-        each for each in shifts(seed=3, count=2, bus_load=0.8) if each[1].can_id in CHANNEL_OF
+        each for each in shifts(seed=3, count=3, bus_load=0.8) if each[1].can_id in CHANNEL_OF
     ]
     times_us = [read.read_us for read in reads(frame for _, frame in frames)]
     assert times_us[0] < WRAP < times_us[-1]
