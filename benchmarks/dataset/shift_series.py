@@ -62,8 +62,8 @@ class Clock(NamedTuple):
         return math.ceil(bus_us - self.offset_s / US) + MARGIN_US - self.zero_us
 
     def sampled_us(self, sensor_s: float) -> int:
-        """When a sample was taken: the series may have begun after the sensor clock's wrap."""
-        return self.stamped_us(round(sensor_s / US))
+        """When a sample was taken."""
+        return round(sensor_s / US) - self.zero_us
 
     def stamped_us(self, stamp: int) -> int:
         """The same of a 32-bit stamp."""
@@ -87,14 +87,16 @@ def clock_of(recorded: Recorded) -> Clock:
 
 def samples_of(recorded: Recorded, clock: Clock) -> Iterator[tuple[int, Sample]]:
     """Every sample of the shift's window with its frame's arrival; a sample's own time in s of the
-    sensor clock."""
+    sensor clock. The frames before the window are taken too: the sensor clock may wrap there."""
     series = TimeSeries(_Tied())
     end_us = clock.stamped_us(recorded.row.end_us) + AFTER_US
     for bus_us, frame in recorded.frames:
+        samples = list(series.take(bus_us * US - clock.offset_s, frame))
         arrival_us = clock.arrival_us(bus_us)
-        if -BEFORE_US <= arrival_us <= end_us:
-            for sample in series.take(bus_us * US - clock.offset_s, frame):
-                yield arrival_us, sample
+        if arrival_us > end_us:
+            break
+        if arrival_us >= -BEFORE_US:
+            yield from ((arrival_us, sample) for sample in samples)
 
 
 class ShiftSeries:
