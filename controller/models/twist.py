@@ -22,7 +22,8 @@ from meshpoint.kernels.records import Vector
 SLIP, TWIST, CREEP, TYRE, ENGINE, ONE = range(6)
 """Rows of the state: `w_G - w_A`, `v`, `w_A - w_V`, `y`, `M`, and 1 for what is constant."""
 STATES: Final = 6
-HALVED, TERMS = 0.5, 14
+HALVED: Final = 0.5
+TERMS: Final = 14
 """A matrix of this norm has its exponential to the last bit by 14 terms of the series."""
 
 

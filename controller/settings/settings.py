@@ -338,7 +338,9 @@ def load_settings_file(path: Path | None) -> SettingsFile:
 
 
 def load_settings(path: Path | None, **overrides: Any) -> ControllerSettings:
-    """Those of such a file alone; overrides that are not None win."""
+    """Settings from a TOML file, or the defaults; overrides that are not None win.
+
+    TableError names file, key, found and allowed."""
     given = {key: value for key, value in overrides.items() if value is not None}
     return dataclasses.replace(load_settings_file(path).settings, **given)
 

@@ -65,7 +65,9 @@ than one that has brought the sleeve out of the gear: the rest of the way it is 
 SURE_SDS: Final = 3.0
 """A pulse towards neutral throws no sleeve through where its valve makes it longer by this many
 standard deviations."""
-RUN_ON_SHARE, CLEAR_M, REACT_US = 0.5, 1.0e-3, 15_000
+RUN_ON_SHARE: Final = 0.5
+CLEAR_M: Final = 1.0e-3
+REACT_US: Final = 15_000
 """The guard takes a longer pulse for a firing, but for one that the next command ends: see
 docs/guard.md, "A pulse stops short". It goes by half of this clearance; the rest is what its
 position sensor may be wrong by."""

@@ -32,12 +32,13 @@ class ShiftFigures:
     pitch_deg: float
     """From one dog tooth to the next."""
     predicted_phase_deg: float | None = None
-    """At contact, as predicted when the sleeve was fired; None after more than one attempt, and
-    where an earlier firing, aborted too late, made the contact."""
+    """At contact, as predicted when the sleeve was fired; None without a known reference, and where
+    `delay_ms` is."""
     predicted_phase_sd_deg: float | None = None
     """Its standard deviation."""
     delay_ms: float | None = None
-    """From activation to contact, by the rig's truth; None where the prediction is."""
+    """From activation to contact, by the rig's truth; None after more than one attempt, and where
+    an earlier firing, aborted too late, made the contact."""
     attempts: int = 0
     """Times a sleeve was fired; a firing that was recalled or aborted does not count."""
     aborts: int = 0

@@ -59,7 +59,7 @@ class Watched(AroundCore[ControllerCore]):
         return step
 
 
-@pytest.mark.parametrize(("pair", "least"), [((10, 8), 0.8), ((4, 2), 0.5), ((7, 5), 0.4)])
+@pytest.mark.parametrize(("pair", "least"), [((10, 8), 0.8), ((4, 2), 0.6), ((7, 5), 0.4)])
 def test_while_the_engine_raises_a_gear_it_is_known_where_the_main_shaft_will_be(
     pair: tuple[int, int], least: float
 ) -> None:

@@ -94,6 +94,7 @@ REASONS: Final = {
     "reference.py: CARRIED": SHARES,
     "driveline_swing.py: LEAST_EDGES": COUNT,
     "limits.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
+    "sleeves.py: REACT_US": "chance: the guard's reaction time, too",
     "sequence.py: SLIP_ROW": "physical: a row's number; the rig's numbers a violation",
     "own_speed.py: MEASURED_US": "chance: a window; the rig's is a deviation of the engine's lag",
     "inputs.py: SPAN_US": "chance: a window; the rig's is a deviation of the engine's lag",
