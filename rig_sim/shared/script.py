@@ -3,11 +3,13 @@
     RELEASE   60 ms   the main sleeves go to neutral
     RAMP      300 ms  constant acceleration of layshaft and main shaft; splitter and range change
                       (or as long as is set)
-    ENGAGE            the layshaft keeps its speed, 20 rpm of slip, less where gaps are small, while
-                      the sleeve goes in by the contact rule; at full stroke and locked the bench
-                      says Ready
+    STEP              a splitter with dog teeth that changes: input shaft and layshaft keep their
+                      speeds, 20 rpm of slip, less where gaps are small, while its sleeve goes in by
+                      the contact rule
+    ENGAGE            the layshaft keeps its speed, the same slip, while the main sleeve goes in
 
-Speeds change smoothly and no angle jumps. While the script runs, valves do not move the sleeves.
+At full stroke and locked the bench says Ready. Speeds change smoothly and no angle jumps. While the
+script runs, valves do not move the sleeves.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from meshpoint.gearbox.gears import (
     SIDE_OF,
     SLEEVE_OF_MAIN,
     SPLIT_GEAR,
+    DogGear,
     DriveGear,
     MainGear,
     Range,
@@ -54,7 +57,8 @@ class ScriptStage(IntEnum):
     IDLE = 0
     RELEASE = 1
     RAMP = 2
-    ENGAGE = 3
+    STEP = 3
+    ENGAGE = 4
 
 
 class BenchScript:
@@ -116,18 +120,18 @@ class BenchScript:
         if self._stage_end_us <= time_us:
             {
                 ScriptStage.RELEASE: self._ramp,
-                ScriptStage.RAMP: self._engage,
+                ScriptStage.RAMP: self._hold,
+                ScriptStage.STEP: self._engage,
                 ScriptStage.ENGAGE: self._ready,
             }[self.stage]()
 
     def watch(self) -> None:
         """After any event: once the gear is locked, wait for its sleeve's full stroke."""
-        if self.stage is ScriptStage.ENGAGE and self._stage_end_us == NEVER_US:
-            names = [self._name] if self._split is None else [self._name, Sleeve.SPLITTER]
-            sleeves = [self._engagement.sleeves[name] for name in names]
-            if all(sleeve.state is SleeveState.LOCKED for sleeve in sleeves):
-                ends_us = [sleeve.stroke_end_us for sleeve in sleeves]
-                self._stage_end_us = max(*ends_us, self._plant.time_us)
+        if self.stage < ScriptStage.STEP or self._stage_end_us != NEVER_US:
+            return
+        sleeve = self._engagement.sleeves[self._moved]
+        if sleeve.state is SleeveState.LOCKED:
+            self._stage_end_us = max(sleeve.stroke_end_us, self._plant.time_us)
 
     def _other_split(self) -> SplitGear | None:
         """The step of the gear, where a splitter with dog teeth does not stand in it."""
@@ -143,8 +147,10 @@ class BenchScript:
         return self._gear.main if self._gear is not None else MainGear.NEUTRAL
 
     @property
-    def _name(self) -> Sleeve:
-        return SLEEVE_OF_MAIN[self._main_gear].sleeve
+    def _moved(self) -> Sleeve:
+        """The sleeve that goes in now."""
+        is_step = self.stage is ScriptStage.STEP
+        return Sleeve.SPLITTER if is_step else SLEEVE_OF_MAIN[self._main_gear].sleeve
 
     def _ramp(self) -> None:
         plant, time_us = self._plant, self._plant.time_us
@@ -160,7 +166,6 @@ class BenchScript:
         if self._split is not None:
             dog = self._sheet.teeth_of(Sleeve.SPLITTER)
             slip_rad_s = min(SLIP_RAD_S, dog.backlash_rad / LEAST_IN_GAP_S)
-            # From above: the layshaft still loses its own slip as the main gear locks.
             wanted = target_rad_s * self._sheet.dog_mesh(self._split).ratio + slip_rad_s
             plant.script_input((wanted - plant.input_rad_s) / self.ramp_s)
         for name, is_high in (
@@ -171,18 +176,24 @@ class BenchScript:
             if sleeve is not None and (sleeve.side != side or sleeve.loose):
                 sleeve.change_over(time_us, side, self._delays.draw_s())
 
-    def _engage(self) -> None:
+    def _hold(self) -> None:
         self._plant.script_main(0.0)
         if self._gear is None:
             self._ready()
             return
         self._plant.script_layshaft(0.0)
-        self.stage = ScriptStage.ENGAGE
-        self._stage_end_us = NEVER_US
-        self._engagement.script_engage(self._gear.main, self._plant.time_us)
-        if self._split is not None:
-            self._plant.script_input(0.0)
-            self._engagement.script_engage(self._split, self._plant.time_us)
+        if self._split is None:
+            self._engage()
+            return
+        self._plant.script_input(0.0)
+        self._move_in(ScriptStage.STEP, self._split)
+
+    def _engage(self) -> None:
+        self._move_in(ScriptStage.ENGAGE, self._main_gear)
+
+    def _move_in(self, stage: ScriptStage, gear: DogGear) -> None:
+        self.stage, self._stage_end_us = stage, NEVER_US
+        self._engagement.script_engage(gear, self._plant.time_us)
 
     def _ready(self) -> None:
         self.stage = ScriptStage.IDLE
