@@ -24,7 +24,6 @@ from meshpoint.controller.estimate.crossing_kernels import (
     ROW,
     FilterMemory,
     TeethArrays,
-    add_up,
     crossing_filter,
     follow,
     keep,
@@ -119,7 +118,7 @@ def swing_filter(
     are not read."""
     f = memory.view(SWING_FILTER)[0]
     edge_us, edge_rad = edges[0], edges[1]
-    n, waiting = edge_us.shape[0], 0
+    n = edge_us.shape[0]
     if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
         return LATE
     keep(f, SWING_SNAPSHOT_WORDS)
@@ -130,9 +129,8 @@ def swing_filter(
         innovation = edge_rad[k] - f.state.theta_rad
         s = take_edge(f, innovation, SWING_STATES, -1)
         if teeth.shape[1] > 0 and s > 0.0:
-            waiting = learn(teeth, int(edges[2, k]), innovation, s, waiting)
+            learn(teeth, int(edges[2, k]), innovation, s)
             follow(teeth, f.gain, SWING_STATES)
-    add_up(teeth, waiting)
     mirror(f.p, SWING_STATES)
     return DONE
 

@@ -56,13 +56,7 @@ RIGHT: Final = max(STATES, SWING_STATES)
 normal equations."""
 ROW: Final = RIGHT + 1
 """What the kernel works with."""
-AT_ONCE: Final = 4
-"""Innovations that the matrix is given at a time: it is too large to be gone through for each."""
-WAITING: Final = ROW + 1
-"""Rows m of the innovations that wait for that."""
-WEIGHTED: Final = WAITING + AT_ONCE
-"""The same over the innovations' variances."""
-NORMAL: Final = WEIGHTED + AT_ONCE
+NORMAL: Final = ROW + 1
 """From here on the matrix of the normal equations (N, N), its upper half."""
 # --- what the kernel answers ---------------------------------------------------------------------
 DONE: Final = 0
@@ -232,7 +226,7 @@ def crossing_filter(
     if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
         return LATE
     keep(f, SNAPSHOT_WORDS)
-    i, j, k, waiting = input_at(f.time_us, switches[0]), 0, 0, 0
+    i, j, k = input_at(f.time_us, switches[0]), 0, 0
     while k < n or j < m:
         pressure_is_next = j < m and (k == n or pressure_us[j] < edge_us[k])
         when_us = pressure_us[j] if pressure_is_next else edge_us[k]
@@ -248,11 +242,10 @@ def crossing_filter(
                 innovation = edge_rad[k] - f.state.theta_rad
                 s = take_edge(f, innovation, STATES, DRAG)
                 if teeth.shape[1] > 0 and s > 0.0:
-                    waiting = learn(teeth, int(edges[2, k]), innovation, s, waiting)
+                    learn(teeth, int(edges[2, k]), innovation, s)
                     follow(teeth, f.gain, STATES)
             k += 1
         f.state.gain = max(f.state.gain, LEAST_GAIN)
-    add_up(teeth, waiting)
     mirror(f.p, STATES)
     return DONE
 
@@ -347,35 +340,19 @@ def widen(f: Filter, innovation: float, states: int, led: int) -> None:
 
 
 @inlined
-def learn(teeth: Vector, place: int, innovation: float, s: float, waiting: int) -> int:
-    """Takes one innovation for the teeth's normal equations; ROW becomes its m. Returns how many
-    wait for the matrix then."""
-    row, kept, weighted = teeth[ROW], teeth[WAITING + waiting], teeth[WEIGHTED + waiting]
-    for c in range(teeth.shape[1]):
+def learn(teeth: Vector, place: int, innovation: float, s: float) -> None:
+    """Adds one innovation to the teeth's normal equations; ROW becomes its m."""
+    size, row = teeth.shape[1], teeth[ROW]
+    for c in range(size):
         row[c] = -teeth[THETA, c]
     row[place] += 1.0
-    for c in range(teeth.shape[1]):
-        kept[c], weighted[c] = row[c], row[c] / s
-        teeth[RIGHT, c] -= weighted[c] * innovation
-    return add_up(teeth, AT_ONCE) if waiting + 1 == AT_ONCE else waiting + 1
-
-
-@inlined
-def add_up(teeth: Vector, waiting: int) -> int:
-    """Adds to the matrix the innovations that wait for it, in their order; returns 0: none is left.
-    """
-    size = teeth.shape[1] if waiting > 0 else 0
-    teeth[WEIGHTED + waiting : NORMAL, :size] = 0.0
     for c in range(size):
+        weighted = row[c] / s
+        teeth[RIGHT, c] -= weighted * innovation
         # Counted from 0 on, several are added at a time: an index from c on might be negative.
-        equation, first, second = teeth[NORMAL + c, c:], teeth[WAITING, c:], teeth[WAITING + 1, c:]
-        third, fourth = teeth[WAITING + 2, c:], teeth[WAITING + 3, c:]
-        a, b = teeth[WEIGHTED, c], teeth[WEIGHTED + 1, c]
-        e, g = teeth[WEIGHTED + 2, c], teeth[WEIGHTED + 3, c]
-        for d in range(size - c):
-            both = equation[d] + a * first[d] + b * second[d]
-            equation[d] = both + e * third[d] + g * fourth[d]
-    return 0
+        equation, rest = teeth[NORMAL + c, c:], row[c:]
+        for d in range(rest.shape[0]):
+            equation[d] += weighted * rest[d]
 
 
 @inlined

@@ -26,6 +26,8 @@ from meshpoint.results.road_speed import span_us
 M = TypeVar("M", bound=tuple[object, ...])
 LONGEST_STEP_US: Final = 10_000_000
 """A clock that moves by more from one frame to the next has been set, and has not run on."""
+LEAST_DELAY_FRAMES: Final = 100
+"""Of so many stamped frames, some 25 reads, one at least has come without waiting."""
 RATE_FRAMES: Final = 20
 """A message's rate is that of its last this many frames."""
 STAMPED: Final = (
@@ -75,13 +77,12 @@ class _RunOn:
         self.total_us = 0
         self._newest_us: int | None = None
 
-    def take(self, stamp_us: int) -> None:
-        """One reading."""
-        if self._newest_us is not None:
-            ahead_us = span_us(stamp_us, self._newest_us)
-            if 0 < ahead_us <= LONGEST_STEP_US:
-                self.total_us += ahead_us
+    def take(self, stamp_us: int) -> bool:
+        """One reading; whether the clock has been set since the one before."""
+        ahead_us = 0 if self._newest_us is None else span_us(stamp_us, self._newest_us)
         self._newest_us = stamp_us
+        self.total_us += ahead_us if 0 < ahead_us <= LONGEST_STEP_US else 0
+        return abs(ahead_us) > LONGEST_STEP_US
 
 
 class Heard:
@@ -102,8 +103,10 @@ class Heard:
         self._begin_s: float | None = None
         self._idle_us = 0
         """Time without any frame, since the last one."""
-        self.sensor_us: int | None = None
-        """The newest sensor time heard, 32 bits; None before the first."""
+        self._stamp_us: int | None = None
+        """The newest sensor time heard, 32 bits."""
+        self._behind_us: deque[int] = deque(maxlen=LEAST_DELAY_FRAMES)
+        """By how much the log is ahead of the sensor side's clock, of each stamped frame of late."""
 
     @property
     def foreign(self) -> int:
@@ -123,12 +126,23 @@ class Heard:
             heard.take(time_s, verdict, message)
         sensor_side, controller = self._clocks
         if isinstance(message, STAMPED):
-            self.sensor_us = message.sample_time_us
-            sensor_side.take(message.sample_time_us)
+            if sensor_side.take(message.sample_time_us):
+                self._behind_us.clear()
+            self._stamp_us = message.sample_time_us
+            self._behind_us.append(round(self.now_s * 1e6) - sensor_side.total_us)
         elif isinstance(message, ControllerStatus):
             controller.take(message.step_time_us)
         self._receiver.tick(self.bus_us)
         return message
+
+    @property
+    def sensor_us(self) -> int | None:
+        """The sensors' time now, 32 bits: that of the newest stamp, and how much later than the
+        frame that waited least of late this one is; None before the first."""
+        if self._stamp_us is None:
+            return None
+        behind_us = round(self.now_s * 1e6) - self._clocks[0].total_us
+        return (self._stamp_us + behind_us - min(self._behind_us)) & 0xFFFF_FFFF
 
     @property
     def bus_us(self) -> int:
