@@ -106,7 +106,7 @@ class Heard:
         self._stamp_us: int | None = None
         """The newest sensor time heard, 32 bits."""
         self._behind_us: deque[int] = deque(maxlen=LEAST_DELAY_FRAMES)
-        """By how much the log is ahead of the sensor side's clock, of each stamped frame of late."""
+        """By how much the log is ahead of the sensor side's clock: stamped frames of late."""
 
     @property
     def foreign(self) -> int:
