@@ -27,7 +27,7 @@ M = TypeVar("M", bound=tuple[object, ...])
 LONGEST_STEP_US: Final = 10_000_000
 """A clock that moves by more from one frame to the next has been set, and has not run on."""
 LEAST_DELAY_FRAMES: Final = 100
-"""Of so many stamped frames, some 25 reads, one at least has come without waiting."""
+"""Stamped frames, of some 25 reads, of which one at least has come without waiting."""
 RATE_FRAMES: Final = 20
 """A message's rate is that of its last this many frames."""
 STAMPED: Final = (
