@@ -139,7 +139,7 @@ def outcome(shift: ShiftRecord, pitch_rad: float) -> ShiftOutcome:
         attempts=shift.attempts,
         fault=shift.fault,
         request_time_us=wrap(shift.request_us),
-        fire_time_us=wrap(plan.fire_us if plan else 0),
+        fire_time_us=wrap(plan.fire_us if plan else shift.first_fire_us or 0),
         predicted_contact_time_us=wrap(plan.contact_us if plan else 0),
         measured_contact_time_us=wrap(shift.measured_contact_us or 0),
         end_time_us=wrap(shift.end_us or 0),

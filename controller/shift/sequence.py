@@ -249,7 +249,9 @@ class ShiftSequence(ShiftContext):
         if self.shift is None:
             return
         self.shift.blocks += self.is_measured(snapshot)
-        plan, self.shift.plan, self.shift.release_us = self.shift.plan, None, None
+        plan = self.shift.plan
+        if self.state is not State.SPLITTER_CHANGING:  # else the main sleeve's plan is carried out
+            self.shift.plan = self.shift.release_us = None
         if self.state is State.SYNCHRONISING:
             self.shift.pulses = max(0, self.shift.pulses - 1)
         if self.state is State.DISENGAGING:

@@ -169,14 +169,16 @@ class RowCollector:
         phase = slip = delay = None
         lost_m_s = self._road.lost_m_s(outcome.request_time_us, outcome.end_time_us)
         if contact is not None:
+            slip = contact.slip_rad_s / RPM
+            if outcome.fire_time_us:
+                delay = span_us(contact.event_time_us, outcome.fire_time_us) / 1000
+        if contact is not None and meeting.gear is not MainGear.NEUTRAL:  # no splitter is aimed
             pitch = self._pitch_deg
             phase = (contact.phase_rad - self._target_rad) / DEG
             phase -= pitch * math.floor(phase / pitch + 0.5)
-            slip = contact.slip_rad_s / RPM
-            delay = span_us(contact.event_time_us, outcome.fire_time_us) / 1000
         # The outcome speaks of the last firing; the first contact may be an earlier one's.
         fired_once = outcome.attempts == 1 and (delay is None or delay >= 0.0)
-        predicted = known and fired_once
+        predicted = known and fired_once and outcome.predicted_contact_time_us != 0
         return ShiftRow(
             from_=outcome.from_gear,
             to=outcome.to_gear,

@@ -105,6 +105,20 @@ def test_across_the_main_box_the_input_shaft_stays_in_the_high_step_between(
     assert (split_us < main_us) == is_up
 
 
+def test_a_command_of_the_splitter_that_is_blocked_leaves_the_outcome_its_main_gears_firing() -> None:
+    """Said to be fired at 0 and predicted to meet at 0 +- 0 degrees."""
+    watched = ready(8, 9)
+    watched.loop.run_to_state(State.SPLITTER_CHANGING, 7_000_000)
+    core = watched.loop.core
+    assert core.snapshot is not None
+    core.sequence.blocked(3, core.snapshot)
+    watched.loop.run(9_000_000)
+    (outcome,) = watched.loop.outcomes
+    assert (outcome.result, outcome.to_gear) == (ShiftResult.ENGAGED, 9)
+    taken_us = outcome.predicted_contact_time_us - outcome.fire_time_us
+    assert 20_000 < taken_us < 80_000
+
+
 def test_a_jammed_splitter_ends_the_shift_in_its_old_gear() -> None:
     watched = ready(12, 11)
     watched.loop.fault(RigFault.SLEEVE_JAMMED, int(Sleeve.SPLITTER))

@@ -52,6 +52,7 @@ def outcome(**changed: object) -> ShiftOutcome:
         request_time_us=(1 << 32) - 500_000,
         fire_time_us=FIRE_US,
         end_time_us=100_000,
+        predicted_contact_time_us=26_000,
         predicted_phase_rad=0.01 * DEG,
         predicted_phase_sd_rad=0.3 * DEG,
         reference_source=ReferenceSource.MEASURED,
@@ -130,6 +131,21 @@ def test_a_contact_before_the_firing_that_is_told_has_no_delay() -> None:
     (row,) = rows_of(contact(-0.5), before)
     assert row.contact == "gap"
     assert row.delay_ms is None
+
+
+def test_an_outcome_without_a_firing_has_no_delay_and_one_without_a_plan_no_prediction() -> None:
+    """A delay of 4,377 ms was said: the sensors' clock at contact. And a phase of 0.0 degrees."""
+    (row,) = rows_of(contact(-0.5), outcome(fire_time_us=0))
+    assert row.delay_ms is None
+    (row,) = rows_of(contact(-0.5), outcome(predicted_contact_time_us=0, predicted_phase_rad=0.0))
+    assert (row.predicted_phase_deg, row.predicted_phase_sd_deg) == (None, None)
+    assert row.delay_ms == pytest.approx(45.5)
+
+
+def test_a_splitter_alone_has_a_slip_and_no_error_of_an_aim() -> None:
+    (row,) = rows_of(contact(-0.5, gear=MainGear.NEUTRAL), outcome(from_gear=9, to_gear=10))
+    assert (row.contact, row.phase_error_deg) == ("gap", None)
+    assert row.slip_rpm == pytest.approx(18.0)
 
 
 @pytest.mark.parametrize("changed", [{"attempts": 2}, {"fire_time_us": 200_000}])
