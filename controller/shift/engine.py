@@ -60,6 +60,8 @@ controller says it, and teeth may be lost meanwhile."""
 BESIDE_SHARE: Final = 0.005
 """The guard allows for a step of the torque, a per cent, and rounding; half of a step is taken by
 `owed_share`."""
+TURNS_US: Final = 60 * MS_IN_US
+"""The guard looks at the engine's speed for 50 ms of a request before it takes it to turn."""
 
 SHORT_RAD_S: Final = 1.0
 """The slip may be this much less than asked for (10 rpm)."""
@@ -220,10 +222,13 @@ def _unload(
     shift, step_s = context.running, context.settings.timing.measured_us * US
     if shift.own_nm is None:
         shift.own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
+        shift.own_us = snapshot.now_us
     if shift.clutch_us is not None:
         parting_s -= (snapshot.now_us - shift.clutch_us) / SECOND_US
     least = max(1, math.floor(parting_s / step_s))
-    band = _band(context, shift.own_nm, twist.coasting_nm)
+    is_seen = snapshot.now_us - shift.own_us >= TURNS_US
+    turning_rad_s2 = context.torque.engine_rad_s2 if is_seen else 0.0
+    band = _band(context, shift.own_nm, twist.coasting_nm, turning_rad_s2)
     plan = unload(twist, band, step_s, least, shift.unloads_in)
     if plan is None:
         return None
@@ -232,13 +237,13 @@ def _unload(
     return plan.steps <= least
 
 
-def _band(context: ShiftContext, own_nm: float, coasting_nm: float) -> Band:
+def _band(context: ShiftContext, own_nm: float, coasting_nm: float, turning_rad_s2: float) -> Band:
     """Between the engine's own torque, before any was taken away, and the one with which it coasts.
     Beyond none only as far as the engine needs to change its speed as it does: more would load the
     clutch anew, and row 14 of the guard forbids it. A plan that counted on more would wait for a
     torque that never comes."""
     engine = context.sheet.engine
-    turning_nm = engine.inertia_kgm2 * context.torque.engine_rad_s2
+    turning_nm = engine.inertia_kgm2 * turning_rad_s2
     beside_nm = BESIDE_SHARE * engine.reference_nm
     low_nm, high_nm = min(own_nm, 0.0, turning_nm), max(own_nm, 0.0, turning_nm)
     return Band(
