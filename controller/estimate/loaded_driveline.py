@@ -273,8 +273,9 @@ class LoadedDriveline:
         )
 
     def _begin(self, time_us: float, angle: float, mesh: InGear, shafts: Shafts) -> None:
-        """Collects the first measurements, and starts from a line through them: the shafts may
-        carry anything, the vehicle may be anyone's of the sheet."""
+        """Collects the first measurements, and starts from a line through them and from the
+        engine's torque: shafts and tyres carry it, and a hill takes it, whichever vehicle of the
+        sheet that is, or the vehicle speeds up by as much."""
         self._first.append((time_us, angle))
         if len(self._first) < FIRST_MEASUREMENTS:
             return
@@ -282,18 +283,24 @@ class LoadedDriveline:
         speed, start = np.polyfit(
             (measurements[:, 0] - time_us) * US, measurements[:, 1], 1
         ).tolist()
-        least, most = self._inverses
-        x, self._p = self._x, np.zeros((LOADED_STATES, LOADED_STATES))
+        x, (least, most), driving_nm = self._x, self._inverses, float(self._model[DRIVING])
         x[:] = 0.0
-        x[GEAR], x[[GEAR_SPEED, WHEELS, VEHICLE]] = start, speed
+        x[GEAR], x[[GEAR_SPEED, WHEELS]] = start, speed
+        x[TWIST] = math.copysign(shafts.half_lash_rad, driving_nm)
+        x[TWIST] += driving_nm / shafts.stiffness_nm_rad
+        x[TYRE] = driving_nm / axle.tyre_nm_rad
+        x[VEHICLE] = speed - abs(speed) / axle.relaxation_rad * x[TYRE]
         x[VEHICLE_INVERSE] = 0.5 * (least + most)
+        x[HILL] = -driving_nm * x[VEHICLE_INVERSE]
         sds = np.empty(LOADED_STATES)
         sds[GEAR], sds[GEAR_SPEED], sds[[WHEELS, VEHICLE]] = START_RAD, START_RAD_S, START_RAD_S
         sds[TWIST] = shafts.half_lash_rad + START_NM / shafts.stiffness_nm_rad
-        sds[TYRE], sds[HILL] = START_NM / axle.tyre_nm_rad, axle.vehicle_rad_s2
+        sds[TYRE], sds[HILL] = START_NM / axle.tyre_nm_rad, axle.vehicle_rad_s2 + abs(x[HILL])
         sds[WRONG] = mesh.overall * self._sheet.engine.error_nm
         sds[VEHICLE_INVERSE] = (most - least) / math.sqrt(12.0)
-        self._p[np.diag_indices(LOADED_STATES)] = sds**2
+        root = np.diag(sds)
+        root[HILL, VEHICLE_INVERSE] = -driving_nm * sds[VEHICLE_INVERSE]
+        self._p = root @ root.T
         self._followed.part("time_us")[0] = self._began_us = time_us
         self._followed.part("nis")[0], self._running = 1.0, True
 

@@ -60,6 +60,8 @@ controller says it, and teeth may be lost meanwhile."""
 BESIDE_SHARE: Final = 0.005
 """The guard allows for a step of the torque, a per cent, and rounding; half of a step is taken by
 `owed_share`."""
+TURNS_US: Final = 60 * MS_IN_US
+"""The guard looks at the engine's speed for 50 ms of a request before it takes it to turn."""
 
 SHORT_RAD_S: Final = 1.0
 """The slip may be this much less than asked for (10 rpm)."""
@@ -84,6 +86,13 @@ BEYOND_US: Final = 300 * MS_IN_US
 swings comes back, a vehicle that rolls downhill does not."""
 
 
+class Band(NamedTuple):
+    """The torque that is asked for."""
+
+    least_nm: float
+    most_nm: float
+
+
 class Unloading(NamedTuple):
     """What is asked of the engine, and when the plates part."""
 
@@ -95,11 +104,11 @@ class Unloading(NamedTuple):
 
 
 def unload(
-    twist: Twist, own_nm: float, step_s: float, least: int, before: int | None
+    twist: Twist, band: Band, step_s: float, least: int, before: int | None
 ) -> Unloading | None:
-    """The plan from here on; None where the driveline's figures lead nowhere finite. own_nm: the
-    engine's torque before any of it was taken away; least: the steps that the clutch takes until
-    its plates part; before: those which were planned last until then."""
+    """The plan from here on; None where the driveline's figures lead nowhere finite. least: the
+    steps that the clutch takes until its plates part; before: those which were planned last until
+    then."""
     if before is None:
         later = {least + round(more_s / step_s) for more_s in LATER_S}
     else:
@@ -107,14 +116,12 @@ def unload(
     paths = _Paths(twist, step_s, max(later))
     if not np.abs(paths.left).max() < MOST_NM:
         return None
-    coasting_nm = twist.coasting_nm
-    low, high = min(own_nm, coasting_nm), max(own_nm, coasting_nm)
     found, least_ms = None, np.inf
     for steps in sorted(later):
         waits_ms = 1e3 * step_s * (steps - least)
         if waits_ms >= least_ms:
             break
-        plan = _plan(paths, steps, low, high, coasting_nm)
+        plan = _plan(paths, steps, band, twist.coasting_nm)
         cost_ms = waits_ms + MS_PER_NM * plan.left_nm
         if cost_ms < least_ms:
             found, least_ms = plan, cost_ms
@@ -137,12 +144,12 @@ class _Paths:
         """What one adds for each Nm asked for in all of them (n, 5)."""
 
 
-def _plan(paths: _Paths, steps: int, low: float, high: float, coasting_nm: float) -> Unloading:
+def _plan(paths: _Paths, steps: int, band: Band, coasting_nm: float) -> Unloading:
     """The torques, each for a share of the steps, that leave least."""
     ends = steps - np.unique(np.linspace(0, steps, min(PIECES, steps) + 1).round().astype(int))
     adds = (paths.added[ends[:-1]] - paths.added[ends[1:]]).T
     coasts = paths.free[steps] + coasting_nm * paths.added[steps]
-    found = _least(adds, coasts, low - coasting_nm, high - coasting_nm)
+    found = _least(adds, coasts, *(nm - coasting_nm for nm in band))
     return Unloading(
         coasting_nm + float(found[0]), steps, float(np.linalg.norm(coasts + adds @ found))
     )
@@ -215,30 +222,41 @@ def _unload(
     shift, step_s = context.running, context.settings.timing.measured_us * US
     if shift.own_nm is None:
         shift.own_nm = (context.torque.share or 0.0) * context.sheet.engine.reference_nm
+        shift.own_us = snapshot.now_us
     if shift.clutch_us is not None:
         parting_s -= (snapshot.now_us - shift.clutch_us) / SECOND_US
     least = max(1, math.floor(parting_s / step_s))
-    plan = unload(twist, shift.own_nm, step_s, least, shift.unloads_in)
+    is_seen = snapshot.now_us - shift.own_us >= TURNS_US
+    turning_rad_s2 = context.torque.engine_rad_s2 if is_seen else 0.0
+    band = _band(context, shift.own_nm, twist.coasting_nm, turning_rad_s2)
+    plan = unload(twist, band, step_s, least, shift.unloads_in)
     if plan is None:
         return None
     shift.unloads_in = plan.steps
-    _ask(context, plan.torque_nm, shift.own_nm)
+    _ask(context, plan.torque_nm)
     return plan.steps <= least
 
 
-def _ask(context: ShiftContext, torque_nm: float, own_nm: float) -> None:
-    """Asks for a torque. own_nm: the engine's own, before any was taken away. Beyond none only as
-    far as the engine needs to change its speed: more would load the clutch anew, and row 14 of the
-    guard forbids it.
-
-    TSC1 says it in the steps in which EEC1 does: what rounding leaves out is asked for with the
-    next frames."""
-    engine, shift, step = context.sheet.engine, context.running, context.torque.step
-    turning_nm = engine.inertia_kgm2 * context.torque.engine_rad_s2
+def _band(context: ShiftContext, own_nm: float, coasting_nm: float, turning_rad_s2: float) -> Band:
+    """Between the engine's own torque, before any was taken away, and the one with which it coasts.
+    Beyond none only as far as the engine needs to change its speed as it does: more would load the
+    clutch anew, and row 14 of the guard forbids it. A plan that counted on more would wait for a
+    torque that never comes."""
+    engine = context.sheet.engine
+    turning_nm = engine.inertia_kgm2 * turning_rad_s2
     beside_nm = BESIDE_SHARE * engine.reference_nm
     low_nm, high_nm = min(own_nm, 0.0, turning_nm), max(own_nm, 0.0, turning_nm)
-    wanted_nm = min(max(torque_nm, low_nm - beside_nm), high_nm + beside_nm)
-    owed = wanted_nm / engine.reference_nm + shift.owed_share
+    return Band(
+        max(min(own_nm, coasting_nm), low_nm - beside_nm),
+        min(max(own_nm, coasting_nm), high_nm + beside_nm),
+    )
+
+
+def _ask(context: ShiftContext, torque_nm: float) -> None:
+    """Asks for a torque. TSC1 says it in the steps in which EEC1 does: what rounding leaves out is
+    asked for with the next frames."""
+    engine, shift, step = context.sheet.engine, context.running, context.torque.step
+    owed = torque_nm / engine.reference_nm + shift.owed_share
     context.engine_share = step * round(owed / step)
     shift.owed_share = owed - context.engine_share
 

@@ -177,6 +177,8 @@ class ShiftRecord:
     """How often the guard has blocked what was commanded."""
     own_nm: float | None = None
     """The engine's torque before it was taken away as a plan says; None: it was not."""
+    own_us: int = 0
+    """Since then some of it is taken away."""
     unloads_in: int | None = None
     """The steps of a plan until the plates part, as planned last."""
     owed_share: float = 0.0
