@@ -105,7 +105,7 @@ def test_across_the_main_box_the_input_shaft_stays_in_the_high_step_between(
     assert (split_us < main_us) == is_up
 
 
-def test_a_command_of_the_splitter_that_is_blocked_leaves_the_outcome_its_main_gears_firing() -> None:
+def test_a_blocked_command_of_the_splitter_leaves_the_outcome_its_main_gears_firing() -> None:
     """Said to be fired at 0 and predicted to meet at 0 +- 0 degrees."""
     watched = ready(8, 9)
     watched.loop.run_to_state(State.SPLITTER_CHANGING, 7_000_000)
