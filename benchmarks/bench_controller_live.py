@@ -36,10 +36,11 @@ from benchmarks.bench_rig_live import (
     rig_process,
 )
 from meshpoint.bus.local.register import register_interface
+from meshpoint.dbc.edges import EDGE_IDS
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ValveCommand
 
-EDGES = frozenset(codec.spec.can_id for name, codec in CODECS.items() if name.startswith("Edges"))
+EDGES = frozenset(EDGE_IDS)
 COMMAND = CODECS[ValveCommand.__name__].spec.can_id
 PING, PONG = 0x18FFEE01, 0x18FFEE02
 PING_EVERY_S = 0.01

@@ -37,6 +37,7 @@ import numba
 import numpy as np
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.gearbox.wheels import Wheels
 from meshpoint.kernels.jit import BARE
 from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
@@ -54,12 +55,8 @@ FIXED = {"vehicle.slope_percent": 0.0, "clutch.kiss": 1.0}
 def with_teeth(teeth: int) -> GearboxSheet:
     """The sheet with this many teeth on every sensor wheel."""
     sheet = load_sheet("thesis")
-    wheels = sheet.wheels
-    named = {
-        name: replace(getattr(wheels, name), teeth=teeth)
-        for name in ("input_", "layshaft", "main", "propeller")
-    }
-    return replace(sheet, wheels=replace(wheels, **named))
+    wheels = (replace(wheel, teeth=teeth) for wheel in sheet.wheels.rows.values())
+    return replace(sheet, wheels=Wheels(*wheels))
 
 
 def truck(teeth: int = TEETH, profile: Profile = Profile.CLEAN) -> TruckWorld:

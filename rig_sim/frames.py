@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from meshpoint.dbc.edges import EDGE_MESSAGES
 from meshpoint.dbc.j1939 import torque_parts
 from meshpoint.dbc.messages import (
     EEC1,
-    EdgesInputFall,
-    EdgesInputRise,
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
-    EdgesPropellerFall,
-    EdgesPropellerRise,
     GearboxSensors,
     Message,
     ReferenceEncoder,
@@ -37,16 +30,6 @@ from meshpoint.rig_sim.shared.world import RigWorld, SensorRead
 from meshpoint.units import RPM
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
-EDGE_MESSAGES: Final[tuple[type[Message], ...]] = (
-    EdgesInputRise,
-    EdgesInputFall,
-    EdgesLayshaftRise,
-    EdgesLayshaftFall,
-    EdgesMainRise,
-    EdgesMainFall,
-    EdgesPropellerRise,
-    EdgesPropellerFall,
-)
 SENSOR_MAX_PA: Final = 13.107e5  # the pressure signals saturate here, as their sensors would
 ENGINE_MAX_RAD_S: Final = 8031.875 * RPM  # likewise SPN 190
 COUNT_MODULUS: Final = 1 << 16

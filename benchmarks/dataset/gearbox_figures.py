@@ -13,11 +13,10 @@ from meshpoint.units import DEG
 
 def gearbox_figures(sheet: GearboxSheet, settings: ControllerSettings) -> dict[str, Any]:
     """What the controller knows of every gearbox of the set: none of it was drawn."""
-    wheels = {"input": "input_"} | {shaft: shaft for shaft in ("layshaft", "main", "propeller")}
     return {
         "sheet": sheet.name,
         "sheet_sha256": sheet.sha256,
-        "wheel_teeth": {shaft: getattr(sheet.wheels, name).teeth for shaft, name in wheels.items()},
+        "wheel_teeth": {name: wheel.teeth for name, wheel in sheet.wheels.rows.items()},
         "dog_teeth": sheet.dog.teeth,
         "pitch_deg": sheet.dog.pitch_rad / DEG,
         "half_gap_deg": sheet.dog.backlash_rad / DEG / 2,

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 from benchmarks.dataset.recording import Recorded
 from meshpoint.bridges.sample_clock import Chained, ties_of
 from meshpoint.bridges.series import Sample, TimeSeries
+from meshpoint.dbc.edges import EDGES as EDGES_OF_WHEEL
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
@@ -30,11 +31,10 @@ BEFORE_US: Final = 400_000
 AFTER_US: Final = 100_000
 """In the new gear, after the shift's end."""
 KM_H, KELVIN = 1 / 3.6, 273.15
-SHAFTS: Final = ("input", "layshaft", "main", "propeller")
 EDGES: Final = {
-    f"Edges{shaft.capitalize()}{edge.capitalize()}": (shaft, edge)
-    for shaft in SHAFTS
-    for edge in ("rise", "fall")
+    message.__name__: (wheel, edge)
+    for wheel, both in EDGES_OF_WHEEL.items()
+    for edge, message in both._asdict().items()
 }
 SLEEVES: Final = {
     "sleeve_first_second_m": "first_second",

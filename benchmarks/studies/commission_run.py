@@ -14,7 +14,6 @@ from meshpoint.commission.drawn import draw_sheet, withheld
 from meshpoint.commission.finding import Verdict
 from meshpoint.commission.measured import commissioned
 from meshpoint.commission.rehearsal import draw_miswiring, rehearse_turned
-from meshpoint.commission.shafts import Shaft
 from meshpoint.controller.settings.learned import Calibration
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
@@ -96,7 +95,10 @@ class CommissionRun:
 def _compared(true: GearboxSheet, found: GearboxSheet, unknown: set[str]) -> tuple[int, int]:
     """Tooth counts of sensor wheels and exact ratios: how many were reported, and how many of these
     are not the true ones."""
-    right = {f"{shaft} wheel": _wheel(true, shaft) == _wheel(found, shaft) for shaft in Shaft}
+    right = {
+        f"{name} wheel": wheel.teeth == found.wheels.rows[name].teeth
+        for name, wheel in true.wheels.rows.items()
+    }
     for split in Split:
         same = true.split_mesh(split).exact == found.split_mesh(split).exact
         right[f"splitter.{split.name.lower()}"] = same
@@ -108,11 +110,3 @@ def _compared(true: GearboxSheet, found: GearboxSheet, unknown: set[str]) -> tup
         right[f"range.{range_.name.lower()}"] = same
     reported = [is_right for name, is_right in right.items() if name not in unknown]
     return len(reported), reported.count(False)
-
-
-def _wheel(sheet: GearboxSheet, shaft: Shaft) -> int:
-    wheels = sheet.wheels
-    places = dict(
-        zip(Shaft, (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller), strict=True)
-    )
-    return places[shaft].teeth

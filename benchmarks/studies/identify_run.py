@@ -127,14 +127,8 @@ class _Truth:
         delays = TruckDelays(np.random.Generator(np.random.PCG64(0)), self._real, built)
         self._valves = SleeveValves(delays, self._real, built)
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
-        wheels = sheet.wheels
         self._wheels = {
-            name: WheelAsMade(rng, wheel, built)
-            for name, wheel in (
-                ("input", wheels.input_),
-                ("layshaft", wheels.layshaft),
-                ("main", wheels.main),
-            )
+            name: WheelAsMade(rng, wheel, built) for name, wheel in sheet.wheels.rows.items()
         }
 
     def reported(self) -> list[Reported]:

@@ -15,16 +15,16 @@ import numpy as np
 
 from benchmarks.swarm.events import Group
 from meshpoint.bus.core import Core, Step
+from meshpoint.dbc.edges import EDGE_MESSAGES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 
 BABBLE_ID: Final = 0x0000_0003
 OWN_ID: Final = CODECS["ValveCommand"].spec.can_id
 OWN_LENGTH: Final = CODECS["ValveCommand"].spec.length
-EDGES: Final = ("Input", "Layshaft", "Main", "Propeller")
 NAMES: Final[dict[Group, tuple[str, ...]]] = {
     Group.SLOW: ("GearboxSensors", "SleevesMain", "SleevesAux"),
-    Group.EDGES: tuple(f"Edges{shaft}{edge}" for shaft in EDGES for edge in ("Rise", "Fall")),
+    Group.EDGES: tuple(message.__name__ for message in EDGE_MESSAGES),
     Group.VALVE_STATUS: ("ValveStatus",),
     Group.COMMANDS: ("ValveCommand", "ClutchCommand"),
     Group.J1939: ("EEC1", "TSC1", "TC1"),

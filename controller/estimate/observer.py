@@ -21,7 +21,7 @@ from meshpoint.controller.measure.gearbox_view import (
     PressureSamples,
     PressureZero,
 )
-from meshpoint.controller.measure.inputs import EdgeFrame, StepInputs
+from meshpoint.controller.measure.inputs import StepInputs
 from meshpoint.controller.measure.wheel_edges import BRAKED_RAD_S2, NO_EDGES, EdgeBatch, WheelEdges
 from meshpoint.controller.models.layshaft import (
     BrakeInput,
@@ -33,12 +33,9 @@ from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.models.thesis import layshaft_model
 from meshpoint.controller.settings.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.dbc.edges import EDGES, EdgeMessages
 from meshpoint.dbc.j1939 import torque_share
 from meshpoint.dbc.messages import (
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
     Estimator,
     GearboxSensors,
     ValveStatus,
@@ -180,10 +177,8 @@ class Observer:
         """One step's messages, at `now_us` of the controller's clock."""
         self._learn_on()
         self._see_synchronisers(now_us)
-        layshaft = self._read(
-            self._layshaft_wheel, inputs, EdgesLayshaftRise, EdgesLayshaftFall, now_us
-        )
-        main = self._read(self._main_wheel, inputs, EdgesMainRise, EdgesMainFall, now_us)
+        layshaft = self._read(self._layshaft_wheel, EDGES["layshaft"], inputs, now_us)
+        main = self._read(self._main_wheel, EDGES["main"], inputs, now_us)
         for sleeves in inputs.sleeves_main:
             self.view.sleeves_main(sleeves, self.clock.stamp(sleeves.sample_time_us, now_us))
         for aux in inputs.sleeves_aux:
@@ -298,10 +293,9 @@ class Observer:
         return valves is None or bool(valves.brake_energised or valves.brake_pending)
 
     def _read(
-        self, wheel: WheelEdges, inputs: StepInputs, rise: type, fall: type, now_us: int
+        self, wheel: WheelEdges, of: EdgeMessages, inputs: StepInputs, now_us: int
     ) -> EdgeBatch:
-        risen: list[EdgeFrame] = inputs.edges[rise]
-        return wheel.read(risen, inputs.edges[fall], self.clock, now_us)
+        return wheel.read(inputs.edges[of.rise], inputs.edges[of.fall], self.clock, now_us)
 
     def _lose_what_broke(self, events: list[str]) -> bool:
         """Whether the sensor clock has jumped: what came in this step is of two clocks then."""

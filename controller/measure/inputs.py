@@ -17,17 +17,10 @@ from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from meshpoint.dbc.edges import EDGE_MESSAGES, EDGES
 from meshpoint.dbc.messages import (
     EEC1,
     TC1,
-    EdgesInputFall,
-    EdgesInputRise,
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
-    EdgesPropellerFall,
-    EdgesPropellerRise,
     GearboxSensors,
     Message,
     SleevesAux,
@@ -37,19 +30,9 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.sensor_time import HALF, WRAP
 from meshpoint.gearbox import GearboxSheet, Range, Split
 from meshpoint.gearbox.gears import DogGear, SplitGear
+from meshpoint.gearbox.wheels import SHAFT_OF_WHEEL, SHAFTS
 from meshpoint.kernels.jit import bare, compiled, record_on
 from meshpoint.kernels.records import WORD_BYTES, Integers, Vector, layout_of
-
-EDGE_INPUTS: Final = (
-    EdgesLayshaftRise,
-    EdgesLayshaftFall,
-    EdgesMainRise,
-    EdgesMainFall,
-    EdgesInputRise,
-    EdgesInputFall,
-    EdgesPropellerRise,
-    EdgesPropellerFall,
-)
 
 STAMPS: Final = 27
 BROKEN: Final = -1
@@ -81,7 +64,7 @@ TOGETHER_SHARE: Final = 0.01
 
 
 class EdgeFrame(Protocol):
-    """What the eight edge messages of the DBC have in common."""
+    """What the edge messages of the DBC have in common."""
 
     @property
     def read_time_us(self) -> int:
@@ -116,7 +99,7 @@ class StepInputs:
     """The decoded messages of one step."""
 
     def __init__(self) -> None:
-        self.edges: dict[type, list[EdgeFrame]] = {kind: [] for kind in EDGE_INPUTS}
+        self.edges: dict[type, list[EdgeFrame]] = {kind: [] for kind in EDGE_MESSAGES}
         self.sleeves_main: list[SleevesMain] = []
         self.sleeves_aux: list[SleevesAux] = []
         self.sensors: list[GearboxSensors] = []
@@ -350,27 +333,25 @@ class ShaftSpeeds(NamedTuple):
 
 
 class ShaftSpeedMeter:
-    """Measures the speeds of the four shafts from their newest frames."""
+    """Measures the speeds of the four shafts from their newest frames: that of a shaft by the first
+    of its wheels that shows one."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
-        wheels = sheet.wheels
-        self._shafts: dict[type, EdgeSpeed] = {
-            EdgesInputRise: EdgeSpeed(wheels.input_.teeth),
-            EdgesLayshaftRise: EdgeSpeed(wheels.layshaft.teeth),
-            EdgesMainRise: EdgeSpeed(wheels.main.teeth),
-            EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
-        }
+        self._wheels = [
+            (EDGES[name].rise, EdgeSpeed(wheel.teeth)) for name, wheel in sheet.wheels.rows.items()
+        ]
 
     def take(self, inputs: StepInputs, now_us: int) -> ShaftSpeeds:
         """One step's frames at a sensor time, and the speeds then."""
-        for kind, shaft in self._shafts.items():
+        speeds: list[float | None] = [None] * len(SHAFTS)
+        for (kind, wheel), shaft in zip(self._wheels, SHAFT_OF_WHEEL, strict=True):
             for frame in inputs.edges[kind]:
-                shaft.take(frame, now_us)
-        speeds = (shaft.at(now_us) for shaft in self._shafts.values())
-        return ShaftSpeeds(
-            self._sheet, *[None if speed is None else speed.omega_rad_s for speed in speeds]
-        )
+                wheel.take(frame, now_us)
+            speed = wheel.at(now_us)
+            if speeds[shaft] is None and speed is not None:
+                speeds[shaft] = speed.omega_rad_s
+        return ShaftSpeeds(self._sheet, *speeds)
 
 
 def _together(driving: float | None, driven: float | None, ratio: float) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
+from meshpoint.dbc.edges import EDGE_IDS
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Transmitter
@@ -32,12 +33,8 @@ IO_IDS: Final = frozenset(CODECS[message.__name__].spec.can_id for message in FR
 GEARBOX_SENSORS, SLEEVES_MAIN, SLEEVES_AUX = (
     CODECS[message.__name__].spec.can_id for message in (GearboxSensors, SleevesMain, SleevesAux)
 )
-EDGES: Final = {
-    spec.can_id: channel
-    for channel, spec in enumerate(
-        codec.spec for codec in CODECS.values() if codec.spec.name.startswith("Edges")
-    )
-}
+EDGES: Final = EDGE_IDS[:CHANNELS]
+"""The board has no input for any wheel beyond."""
 ACTIONS: Final = [name for name in ValveCommand._fields if name.endswith("_action")]
 FD_COMMANDS: Final[Mapping[int, frozenset[int]]] = {
     VALVES: frozenset((VALVES,)),
@@ -179,7 +176,7 @@ class FirmwareRig(AroundCore[Core]):
         if not board.is_on:
             board.power_on(sensor_us)
         board.set_sensor_us(sensor_us)
-        for can_id, channel in EDGES.items():
+        for channel, can_id in enumerate(EDGES):
             self._capture(channel, pins[can_id])
         main_bad, *main = _SLEEVES.unpack_from(pins[SLEEVES_MAIN], _AT_SLEEVES)
         aux_bad, *aux = _SLEEVES.unpack_from(pins[SLEEVES_AUX], _AT_SLEEVES)

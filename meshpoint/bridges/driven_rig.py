@@ -33,6 +33,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.wheels import SHAFTS
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.units import TURN, US
@@ -40,7 +41,6 @@ from meshpoint.units import TURN, US
 CYCLE_US: Final = 10_000
 """Commands are renewed within this time: 100 ms without them, and the valves are off."""
 VALVES: Final = tuple(valve.name.lower() for valve in ValveName)
-SHAFTS: Final = ("input", "layshaft", "main", "propeller")
 HEARD: Final = {
     codec.spec.can_id: codec
     for codec in CODECS.values()

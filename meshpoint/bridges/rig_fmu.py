@@ -22,9 +22,10 @@ from pythonfmu3 import (
     Unit,
 )
 
-from meshpoint.bridges.driven_rig import SHAFTS, VALVES, DrivenRig, Inputs, outputs
+from meshpoint.bridges.driven_rig import VALVES, DrivenRig, Inputs, outputs
 from meshpoint.bridges.fmu_wrapper import end_well, hold
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.wheels import SHAFTS
 from meshpoint.rig_sim.settings import Profile, RigSettings
 
 NO_REQUEST, SPEED, TORQUE = range(3)

@@ -97,7 +97,8 @@ def _gear_table(sheet: GearboxSheet, figures: SheetFigures) -> Table:
 
 
 def _derived(sheet: GearboxSheet, figures: SheetFigures) -> str:
-    dog, sleeve, wheels = sheet.dog, sheet.sleeve, sheet.wheels
+    dog, sleeve = sheet.dog, sheet.sleeve
+    wheels = ", ".join(f"{name} {wheel.teeth}" for name, wheel in sheet.wheels.rows.items())
     low_inertia, high_inertia = figures.inertia_kgm2
     low_rpm_s, high_rpm_s = (value / RPM for value in figures.braking_rad_s2)
     slip_rpm = figures.delay_slip_rad_s / RPM
@@ -114,8 +115,7 @@ def _derived(sheet: GearboxSheet, figures: SheetFigures) -> str:
         f"splitter: {_splitter(sheet)}\n"
         f"layshaft, clutch open: {low_inertia:.4f} kg m2 in low split, {high_inertia:.4f} in high; "
         f"full brake {low_rpm_s:.0f} and {high_rpm_s:.0f} rpm/s\n"
-        f"sensor wheels: input {wheels.input_.teeth}, layshaft {wheels.layshaft.teeth}, "
-        f"main {wheels.main.teeth}, propeller {wheels.propeller.teeth} teeth\n"
+        f"sensor wheels: {wheels} teeth\n"
         f"sha256 {sheet.sha256}"
     )
 

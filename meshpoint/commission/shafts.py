@@ -16,20 +16,8 @@ from typing import Any, Final, NamedTuple
 
 from meshpoint.commission.finding import Finding, Verdict
 from meshpoint.controller.measure.gearbox_view import GearboxView
-from meshpoint.dbc.messages import (
-    EdgesInputFall,
-    EdgesInputRise,
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
-    EdgesPropellerFall,
-    EdgesPropellerRise,
-    GearboxSensors,
-    Message,
-    SleevesAux,
-    SleevesMain,
-)
+from meshpoint.dbc.edges import EDGES as WHEEL_EDGES
+from meshpoint.dbc.messages import GearboxSensors, Message, SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.wheels import Wheel
@@ -55,14 +43,9 @@ class Shaft(StrEnum):
 
 
 EDGES: Final[dict[type[Message], tuple[Shaft, int]]] = {
-    EdgesInputRise: (Shaft.INPUT, 0),
-    EdgesInputFall: (Shaft.INPUT, 1),
-    EdgesLayshaftRise: (Shaft.LAYSHAFT, 0),
-    EdgesLayshaftFall: (Shaft.LAYSHAFT, 1),
-    EdgesMainRise: (Shaft.MAIN, 0),
-    EdgesMainFall: (Shaft.MAIN, 1),
-    EdgesPropellerRise: (Shaft.PROPELLER, 0),
-    EdgesPropellerFall: (Shaft.PROPELLER, 1),
+    message: (shaft, falling)
+    for shaft in Shaft
+    for falling, message in enumerate(WHEEL_EDGES[shaft])
 }
 PAIRS: Final = (
     (Shaft.INPUT, Shaft.LAYSHAFT),
@@ -114,7 +97,7 @@ def count_edges(wheels: dict[Shaft, WheelCount], message: Message) -> bool:
     if edges is None:
         return False
     shaft, falling = edges
-    frame: Any = message  # all eight edge messages have these fields
+    frame: Any = message  # all edge messages have these fields
     wheels[shaft].take(falling, frame.newest_index, frame.sensor_fault)
     return True
 
@@ -167,13 +150,7 @@ class ShaftCounts:
 
     def wheel(self, shaft: Shaft) -> Wheel:
         """A shaft's wheel by the data sheet."""
-        wheels = self._sheet.wheels
-        return {
-            Shaft.INPUT: wheels.input_,
-            Shaft.LAYSHAFT: wheels.layshaft,
-            Shaft.MAIN: wheels.main,
-            Shaft.PROPELLER: wheels.propeller,
-        }[shaft]
+        return self._sheet.wheels.rows[shaft]
 
     def edges_a_turn(self, shaft: Shaft) -> int:
         """Rising edges in a turn by the data sheet: teeth that were left out give none."""

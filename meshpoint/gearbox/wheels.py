@@ -14,11 +14,11 @@ The angle from dog tooth to dog tooth is the pitch; a gear tooth stands in a gap
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from typing import Final
 
-from meshpoint.gearbox.tables import TableError, count, counts, group, quantity, text
+from meshpoint.gearbox.tables import TableError, count, counts, group, key_of, quantity, text
 from meshpoint.units import MM
 
 LEAST_RUN: Final = 6
@@ -133,12 +133,25 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Wheels:
-    """The sensor wheels of the four shafts."""
+    """The sensor wheels: one row each, in the order of their messages (`meshpoint.dbc.edges`). The
+    first four are one of each shaft; the name of any other begins with its shaft's."""
 
     input_: Wheel = group(Wheel)
     layshaft: Wheel = group(Wheel)
     main: Wheel = group(Wheel)
     propeller: Wheel = group(Wheel)
+
+    @property
+    def rows(self) -> dict[str, Wheel]:
+        """By the name in the file."""
+        return {key_of(field): getattr(self, field.name) for field in fields(self)}
+
+
+WHEEL_NAMES: Final = tuple(key_of(field) for field in fields(Wheels))
+SHAFTS: Final = WHEEL_NAMES[:4]
+"""From the engine to the road."""
+SHAFT_OF_WHEEL: Final = tuple(SHAFTS.index(name.split("_")[0]) for name in WHEEL_NAMES)
+"""Which of `SHAFTS` each wheel turns with."""
 
 
 @dataclass(frozen=True)

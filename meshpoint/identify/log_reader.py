@@ -17,14 +17,11 @@ from meshpoint.controller.measure.wheel_edges import EdgeBatch, WheelEdges
 from meshpoint.controller.settings.valve_name import SLEEVE_VALVE
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.tracked import Contact
+from meshpoint.dbc.edges import EDGES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     EEC1,
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
     GearboxSensors,
     ValveCommand,
 )
@@ -41,7 +38,7 @@ from meshpoint.identify.valve_switches import (
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US
 
-EDGES: Final = (EdgesLayshaftRise, EdgesLayshaftFall, EdgesMainRise, EdgesMainFall)
+LAYSHAFT, MAIN = EDGES["layshaft"], EDGES["main"]
 STEP_US: Final = 10_000
 MOST_FREE_S: Final = 1.5
 """Of a longer run in neutral no more is kept: nothing is learned of a gearbox that coasts."""
@@ -189,7 +186,7 @@ class LogReader:
             # As it comes: a step stamps what came before it anew, and later.
             if isinstance(message, GearboxSensors):
                 self._clock.stamp(message.sample_time_us, now_us)
-            elif isinstance(message, EDGES):
+            elif isinstance(message, (*LAYSHAFT, *MAIN)):
                 self._clock.stamp(message.read_time_us, now_us)
             if isinstance(message, EEC1) and message.engine_speed_rad_s is not None:
                 self._closing.engine(self._clock.now_us(now_us), message.engine_speed_rad_s)
@@ -210,10 +207,8 @@ class LogReader:
         inputs, clock, view = self._inputs, self._clock, self._view
         self._inputs = StepInputs()
         edges = inputs.edges
-        layshaft = self._layshaft.read(
-            edges[EdgesLayshaftRise], edges[EdgesLayshaftFall], clock, now_us
-        )
-        main = self._main.read(edges[EdgesMainRise], edges[EdgesMainFall], clock, now_us)
+        layshaft = self._layshaft.read(edges[LAYSHAFT.rise], edges[LAYSHAFT.fall], clock, now_us)
+        main = self._main.read(edges[MAIN.rise], edges[MAIN.fall], clock, now_us)
         for sleeves in inputs.sleeves_main:
             time_us = clock.stamp(sleeves.sample_time_us, now_us)
             view.sleeves_main(sleeves, time_us)

@@ -22,14 +22,14 @@ import cantools.database
 from cantools.database.can import Database, Message
 
 from meshpoint.base.errors import CommandError
-from meshpoint.dbc import messages
+from meshpoint.dbc.edges import EDGES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import GearboxSensors, SleevesAux, SleevesMain
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.sensor_time import wrap
 from meshpoint.gearbox.reading import UnreadableError, read_bounded
-from meshpoint.logs.capture_log import SHAFTS
+from meshpoint.gearbox.wheels import SHAFTS, WHEEL_NAMES
 from meshpoint.logs.captures import read_frame
 from meshpoint.units import BAR, MM
 
@@ -44,7 +44,7 @@ SLEEVES: Final = {
 PRESSURES: Final = {"brake": "brake_pressure_pa", "supply": "supply_pressure_pa"}
 MEANINGS: Final = {
     **{f"speed.{shaft}": "rpm" for shaft in SHAFTS},
-    **{f"edge.{shaft}.{polarity}": "us" for shaft in SHAFTS for polarity in ("rise", "fall")},
+    **{f"edge.{shaft}.{polarity}": "us" for shaft in WHEEL_NAMES for polarity in ("rise", "fall")},
     **{f"position.{sleeve}": "mm" for sleeve in SLEEVES},
     **{f"pressure.{name}": "bar" for name in PRESSURES},
 }
@@ -146,12 +146,12 @@ class BusMap:
     def frames(self, now_us: int) -> list[Frame]:
         """Our sensor frames of this read, of what is mapped and has come."""
         made: list[Any] = []
-        for shaft in SHAFTS:
-            reported = {p: self._edges.get(f"{shaft}.{p}") for p in ("rise", "fall")}
+        for wheel in WHEEL_NAMES:
+            reported = {p: self._edges.get(f"{wheel}.{p}") for p in ("rise", "fall")}
             if not any(reported.values()):
                 continue
             for polarity, edges in reported.items():
-                message = getattr(messages, f"Edges{shaft.capitalize()}{polarity.capitalize()}")
+                message = getattr(EDGES[wheel], polarity)
                 made.append(message(**_edge_values(edges or _Edges(), now_us)))
         positions = self._positions(now_us)
         made += positions

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.bus.logs.recorder import LogWriter
-from meshpoint.dbc import messages
+from meshpoint.dbc.edges import EDGES
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.node import Node
 from meshpoint.logs.capture_files import Capture
 from meshpoint.logs.captures import READ_US, read_frame
 from meshpoint.units import SECOND_US
 
-SHAFTS: Final = ("input", "layshaft", "main", "propeller")
 FIRST_READ_US: Final = 1 << 20
 """Sensor time of the first read: frames want a past."""
 
@@ -24,14 +23,13 @@ def write_capture(log: LogWriter, capture: Capture, shaft: str) -> int:
     first_us = int(min([*capture.rise_us[:1], *capture.fall_us[:1]]))
     last_us = int(max([*capture.rise_us[-1:], *capture.fall_us[-1:]]))
     moved_us = FIRST_READ_US - first_us
-    edges = {
-        "Rise": [t + moved_us for t in capture.rise_us.tolist()],
-        "Fall": [t + moved_us for t in capture.fall_us.tolist()],
-    }
+    edges = [
+        (message, [t + moved_us for t in edges_us.tolist()])
+        for message, edges_us in zip(EDGES[shaft], (capture.rise_us, capture.fall_us), strict=True)
+    ]
     reads = range(FIRST_READ_US, last_us + moved_us + 2 * READ_US, READ_US)
     for read_us in reads:
-        for polarity, edges_us in edges.items():
-            message = getattr(messages, f"Edges{shaft.capitalize()}{polarity}")
+        for message, edges_us in edges:
             frame = read_frame(edges_us, read_us)
             values = frame._asdict()
             # The running number of the newest edge; there is none before the first.

@@ -8,13 +8,14 @@ from pathlib import Path
 from meshpoint.base.errors import CommandError
 from meshpoint.bus import given_numbers
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.gearbox.wheels import WHEEL_NAMES
 from meshpoint.logs.capture_files import (
     LEAST_TEETH,
     MOST_TEETH,
     FoundWheel,
     read_columns,
 )
-from meshpoint.logs.capture_log import SHAFTS, write_capture
+from meshpoint.logs.capture_log import write_capture
 from meshpoint.logs.capture_ways import POLARITIES, Asked, Choice, choose
 from meshpoint.logs.captures import CaptureRow
 from meshpoint.results.output import console, folder_for
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "was chosen",
     )
     log.add_argument(
-        "--shaft", choices=SHAFTS, default="main", help="whose frames (default: %(default)s)"
+        "--shaft", choices=WHEEL_NAMES, default="main", help="whose frames (default: %(default)s)"
     )
 
 

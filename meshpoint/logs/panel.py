@@ -46,16 +46,9 @@ TRAVEL_CELLS: Final = 9
 LAST_LINES: Final = 5
 LAST_SHIFTS: Final = 3
 BUS_COLUMNS: Final = 3
-SHORT: Final = {
-    "ReferenceEncoder": "RefEncoder",
-    "ReferencePhase": "RefPhase",
-    "ControllerStatus": "CtrlStatus",
-    "ControllerEstimates": "CtrlEstimates",
-    "EdgesPropellerRise": "EdgesPropRise",
-    "EdgesPropellerFall": "EdgesPropFall",
-    "EdgesLayshaftRise": "EdgesLayRise",
-    "EdgesLayshaftFall": "EdgesLayFall",
-}
+SHORT: Final = (
+    ("Reference", "Ref"), ("Controller", "Ctrl"), ("Propeller", "Prop"), ("Layshaft", "Lay"),
+)  # fmt: skip
 REPORTED: Final = ("driver", "controller", "truth", "bus", "bench")
 """Whose lines are shown: valves have a row of their own."""
 
@@ -245,7 +238,10 @@ class Panel:
 
     def _message(self, name: str) -> Text:
         heard = self.heard.messages[CODECS[name].spec.can_id]
-        text = Text(f"{SHORT.get(name, name):<14.14}", style="dim")
+        short = name
+        for word, shorter in SHORT:
+            short = short.replace(word, shorter)
+        text = Text(f"{short:<14.14}", style="dim")
         if heard.newest is None:
             text.append(" -         ", style="dim")
         else:

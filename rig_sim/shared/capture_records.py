@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 from typing import Annotated, Final
 
+from meshpoint.gearbox.wheels import WHEEL_NAMES
 from meshpoint.kernels.structures import Record, Row
 
-CHANNELS: Final = 8
+WHEELS: Final = len(WHEEL_NAMES)
+CHANNELS: Final = 2 * WHEELS
 
 RING: Final = 64  # captured edges kept a channel
 

@@ -18,7 +18,7 @@ ENCODER_STEPS_PER_TURN: Final = 1 << 24
 
 ENCODER_MODULUS: Final = 1 << 32
 
-_unpack: Final = struct.Struct(f"={CHANNELS * HEAD_VALUES}q{CHANNELS * STAMPS}H").unpack
+_unpack: Final = struct.Struct(f"={CHANNELS * HEAD_VALUES}q{CHANNELS * STAMPS}H").unpack_from
 """All numbers of a `kernels.Reading` at once, faster than field by field."""
 
 _STAMPS_FROM: Final = CHANNELS * HEAD_VALUES

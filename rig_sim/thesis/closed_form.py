@@ -13,10 +13,11 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
+from meshpoint.gearbox.wheels import SHAFT_OF_WHEEL
 from meshpoint.kernels.jit import bare
 from meshpoint.kernels.structures import Record, RecordArray, Row
 from meshpoint.rig_sim.shared.angle_kernels import TAU
-from meshpoint.rig_sim.shared.capture_records import CHANNELS, RING, Captured
+from meshpoint.rig_sim.shared.capture_records import CHANNELS, RING, WHEELS, Captured
 
 ACCELERATED, FREE = range(2)
 
@@ -50,20 +51,20 @@ class WheelTurn(Record):
 
 
 class Piece(Record):
-    """A piece of motion: both motions, and the four wheels, of which the layshaft drives the first
-    two and the main shaft the others."""
+    """A piece of motion: both motions, and the wheels. The layshaft drives the input shaft's, the
+    main shaft the propeller shaft's."""
 
     start_us: float
     duration_s: float
     layshaft: Motion
     main: Motion
-    wheels: Annotated[Row[WheelTurn], 4]
+    wheels: Annotated[Row[WheelTurn], WHEELS]
 
 
 class SensorWheels(Record):
     """The sensor wheels and their edges; preset thesis."""
 
-    teeth: Annotated[Row[int], 4]
+    teeth: Annotated[Row[int], WHEELS]
     offsets: Annotated[Row[float], CHANNELS]  # where in the pitch: 0 rising, the duty for falling
     captured: Captured
 
@@ -251,7 +252,7 @@ def capture_edges(pieces: Sequence[Piece], sensors: Sequence[SensorWheels]) -> N
     for edge in range(CHANNELS):
         wheel = edge // 2
         channel, turn = wheels.captured.channels[edge], piece.wheels[wheel]
-        motion = piece.layshaft if wheel < 2 else piece.main
+        motion = piece.layshaft if SHAFT_OF_WHEEL[wheel] < 2 else piece.main
         teeth, offset = wheels.teeth[wheel], wheels.offsets[edge]
         pitch = TAU / teeth
         newest = turn.end_turns * teeth + math.floor(turn.end_rest_rad / pitch - offset)
@@ -275,5 +276,5 @@ def warm_up() -> None:
     time_of_stop(motion, 0.01)
     time_of_exit(motion, motion, 1.0, 0.0, (-1.0, 1.0), 0.01)
     motion_at(motion, 0.01)
-    wheels = SensorWheels(teeth=(1, 1, 1, 1))
+    wheels = SensorWheels(teeth=(1,) * WHEELS)
     capture_edges(RecordArray(Piece()).array, RecordArray(wheels).array)

@@ -35,9 +35,9 @@ class Crossing(NamedTuple):
 
 
 class MotionSegment(NamedTuple):
-    """A piece of the past, exact: both motions and all wheel angles at its start and end.
+    """A piece of the past, exact: both motions and all shafts' angles at its start and end.
 
-    Wheels are in the order of `sensors.Shaft`; share is wheel angle over angle of the driving
+    Shafts are in the order of `sensors.Shaft`; share is their angle over that of the driving
     shaft, which is the layshaft for the first two and the main shaft for the others.
     """
 

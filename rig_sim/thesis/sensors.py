@@ -1,4 +1,4 @@
-"""The Hall sensors: exact edge times of the four wheels, and what a 10 ms read of them holds.
+"""The Hall sensors: exact edge times of the wheels, and what a 10 ms read of them holds.
 
 Thesis 2.5 and 4.5: the signal sin(n theta) gives a rising edge where the wheel angle is a whole
 number of pitches and a falling one a duty later; the capture timer counts microseconds.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-from meshpoint.gearbox.wheels import Wheels
+from meshpoint.gearbox.wheels import SHAFT_OF_WHEEL, Wheels
 from meshpoint.kernels.structures import RecordArray
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.angle_kernels import TAU, settled
@@ -37,10 +37,10 @@ class Shaft(IntEnum):
 
 
 class EdgeCapture:
-    """Eight capture channels: rising and falling edges of four wheels."""
+    """The capture channels: rising and falling edges of the wheels."""
 
     def __init__(self, wheels: Wheels, angles: tuple[Angle, ...]) -> None:
-        order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
+        order = list(wheels.rows.values())
         if any(wheel.missing for wheel in order):
             raise SettingsError("preset thesis: wheels.*.missing, allowed are whole wheels only")
         offsets = [offset for wheel in order for offset in (0.0, wheel.duty_share)]
@@ -51,7 +51,7 @@ class EdgeCapture:
         self._piece = RecordArray(Piece())
         self._reader = RingReader()
         for edge, channel in enumerate(self._captured.record.channels):
-            turns, rest = angles[edge // 2]
+            turns, rest = angles[SHAFT_OF_WHEEL[edge // 2]]
             teeth = order[edge // 2].teeth
             tooth = math.floor(rest * teeth / TAU - offsets[edge])
             channel.tooth = turns * teeth + tooth
@@ -61,9 +61,9 @@ class EdgeCapture:
         piece = self._piece.record
         piece.start_us, piece.duration_s = segment.start_us, segment.duration_s
         piece.layshaft, piece.main = segment.layshaft.record, segment.main.record
-        angles = zip(segment.shares, segment.before, segment.after, strict=True)
-        for wheel, (share, before, after) in zip(piece.wheels, angles, strict=True):
-            wheel.share = share
+        shafts = list(zip(segment.shares, segment.before, segment.after, strict=True))
+        for wheel, shaft in zip(piece.wheels, SHAFT_OF_WHEEL, strict=True):
+            wheel.share, before, after = shafts[shaft]
             wheel.turns, wheel.rest_rad = before
             wheel.end_turns, wheel.end_rest_rad = after
         capture_edges(self._piece.array, self._wheels.array)

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from meshpoint.kernels.jit import inlined, piece
 from meshpoint.rig_sim.shared.angle_kernels import TAU
-from meshpoint.rig_sim.shared.capture_records import RING
+from meshpoint.rig_sim.shared.capture_records import RING, WHEELS
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.units import SECOND_US
@@ -137,7 +137,7 @@ def _way(wheel: int, h: float, rig: Rig) -> Way:
     """How a sensor wheel turns in a step from y to `after`: with its shaft, the input shaft's with
     its backlash, but for a fault by which it turns at another rate."""
     y, after = rig.y, rig.after
-    body = at.INPUT + wheel
+    body = at.BODY_OF_WHEEL[wheel]
     start, end = y.angle_rad[body], after.angle_rad[body]
     v0, v1 = y.speed_rad_s[body], after.speed_rad_s[body]
     if body == at.INPUT:
@@ -155,10 +155,10 @@ def _way(wheel: int, h: float, rig: Rig) -> Way:
 @inlined
 def capture(t_us: float, h: float, rig: Rig) -> None:
     """All edges of a step from y to `after`, h seconds long, that begins at t_us."""
-    for wheel in range(at.WHEELS):
+    for wheel in range(WHEELS):
         way = _way(wheel, h, rig)
         start, end, v0, v1, _ = way
-        lap = rig.laps[at.INPUT + wheel]
+        lap = rig.laps[at.BODY_OF_WHEEL[wheel]]
         if v0 * v1 >= 0.0:
             _sweep(way, wheel, t_us, lap, rig)
             continue

@@ -21,7 +21,7 @@ from meshpoint.gearbox.wheels import Wheel
 from meshpoint.kernels.structures import Floats, RecordArray
 from meshpoint.rig_sim.parts.drag import WARM_K
 from meshpoint.rig_sim.shared.angle_kernels import TAU
-from meshpoint.rig_sim.shared.capture_records import CHANNELS
+from meshpoint.rig_sim.shared.capture_records import CHANNELS, WHEELS
 from meshpoint.rig_sim.shared.edge_ring import (
     ENCODER_MODULUS,
     ENCODER_SAMPLES_S,
@@ -93,15 +93,13 @@ class WheelAsMade:
 
 
 class TruckEdges:
-    """Eight capture channels and the reference encoder; `advance` writes the rig's memory."""
+    """The capture channels and the reference encoder; `advance` writes the rig's memory."""
 
     def __init__(self, sheet: GearboxSheet, built: AsBuilt, rig: Rig) -> None:
-        wheels = sheet.wheels
-        order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
-        self.wheels = [WheelAsMade(rng, wheel, built) for wheel in order]
+        self.wheels = [WheelAsMade(rng, wheel, built) for wheel in sheet.wheels.rows.values()]
         self._rig = rig
-        rig.wheel_rate[:] = [1.0] * at.WHEELS
+        rig.wheel_rate[:] = [1.0] * WHEELS
         self._load_edges()
         wrong = int(built["hall.first_wrong_edges"])
         largest = math.radians(built["hall.first_wrong_deg"])
@@ -126,9 +124,9 @@ class TruckEdges:
         self._load_edges()
 
     def _load_edges(self) -> None:
-        for shaft, made in enumerate(self.wheels):
+        for wheel, made in enumerate(self.wheels):
             for row, edges_rad in enumerate(made.edges_rad()):
-                hall = self._rig.hall[2 * shaft + row]
+                hall = self._rig.hall[2 * wheel + row]
                 hall.teeth = made.teeth
                 hall.edges_rad[: made.teeth] = edges_rad.tolist()
                 hall.drift_rad[: made.teeth] = made.drifts_rad().tolist()
@@ -136,7 +134,7 @@ class TruckEdges:
     def _point(self, edge: int) -> None:
         """Sets a channel's pointer to its next edge in forward rotation."""
         rig, hall, channel = self._rig, self._rig.hall[edge], self._rig.captured.channels[edge]
-        body = at.INPUT + edge // 2
+        body = at.BODY_OF_WHEEL[edge // 2]
         rest = rig.y.angle_rad[body]
         if body == at.INPUT:
             rest += rig.y.input_lash_rad

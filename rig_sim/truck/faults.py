@@ -12,8 +12,10 @@ from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, Sleeve
+from meshpoint.gearbox.wheels import WHEEL_NAMES
 from meshpoint.rig_sim.orders import FaultOrder
 from meshpoint.rig_sim.parts.cylinder import Cylinder
+from meshpoint.rig_sim.shared.capture_records import CHANNELS, WHEELS
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
 from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE
 from meshpoint.rig_sim.shared.node_state import NodeState
@@ -28,8 +30,12 @@ from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 from meshpoint.units import BAR, MM, MS, SECOND_US
 
 T = TypeVar("T")
-CHANNEL_TARGETS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
-WHEEL_TARGETS: Final = "wheel 0 input, 1 layshaft, 2 main, 3 propeller"
+CHANNEL_TARGETS: Final = (
+    f"channel 0..{CHANNELS - 1}: {', '.join(WHEEL_NAMES)}, each rise then fall", CHANNELS,
+)  # fmt: skip
+WHEEL_TARGETS: Final = (
+    "wheel " + ", ".join(f"{k} {name}" for k, name in enumerate(WHEEL_NAMES)), WHEELS,
+)  # fmt: skip
 VALVE_TARGETS: Final = "valve 0..8 in the order of ValveCommand"
 SLEEVE_TARGETS: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
 MAIN_VALVE_TARGETS: Final = "valve 3..6 in the order of ValveCommand: first, second, crawl, third"
@@ -58,11 +64,11 @@ class Kind(NamedTuple):
 
 KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.NO_FAULT: Kind("ends all faults", "-", 0, "-"),
-    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNEL_TARGETS, 8, "-"),
-    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNEL_TARGETS, 8, "tooth, from 0"),
-    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNEL_TARGETS, 8, "-"),
+    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", *CHANNEL_TARGETS, "-"),
+    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", *CHANNEL_TARGETS, "tooth, from 0"),
+    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", *CHANNEL_TARGETS, "-"),
     RigFault.HALL_NOISE_BURST: Kind(
-        "each edge comes with a burst", CHANNEL_TARGETS, 8, "edges more, 1..8"
+        "each edge comes with a burst", *CHANNEL_TARGETS, "edges more, 1..8"
     ),
     RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVE_TARGETS, 9, "-"),
     RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVE_TARGETS, 9, "ms"),
@@ -83,7 +89,7 @@ KINDS: Final[dict[RigFault, Kind]] = {
         "the rig's event loop hangs; what was due comes in one go afterwards", "-", 0, "-"
     ),
     RigFault.WHEEL_FACTOR: Kind(
-        "a speed wheel gives this many times its edges", WHEEL_TARGETS, 4, "factor, 0..4"
+        "a speed wheel gives this many times its edges", *WHEEL_TARGETS, "factor, 0..4"
     ),
     RigFault.VALVE_SLOW_ON: Kind("a valve is slow to open", VALVE_TARGETS, 9, "ms"),
     RigFault.VALVE_SLOW_OFF: Kind("a valve is slow to close", VALVE_TARGETS, 9, "ms"),

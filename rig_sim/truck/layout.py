@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, cast
 
+from meshpoint.gearbox.wheels import SHAFT_OF_WHEEL
 from meshpoint.kernels.structures import Record, Row, Vector
 from meshpoint.rig_sim.parts.brake_disc import DiscBrake
 from meshpoint.rig_sim.parts.disturbance import ChanceNumbers, Disturbance, Shaking
@@ -19,7 +20,7 @@ from meshpoint.rig_sim.parts.engine import ClutchPlates, EngineLimits
 from meshpoint.rig_sim.parts.lash import Backlash
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir
 from meshpoint.rig_sim.parts.vehicle import RoadLoad
-from meshpoint.rig_sim.shared.capture_records import CHANNELS, Captured
+from meshpoint.rig_sim.shared.capture_records import CHANNELS, WHEELS, Captured
 
 BODIES: Final = 5
 ENGINE, INPUT, LAYSHAFT, MAIN, PROPELLER = range(5)
@@ -44,7 +45,7 @@ LET_GO: Final = 65  # the brake cannot hold the layshaft any more
 MEETS_FLANK: Final = 70  # + side: a flank of the final drive is met or left; kept here
 
 # --- sensor wheels ------------------------------------------------------------------------------
-WHEELS: Final = 4
+BODY_OF_WHEEL: Final = tuple(INPUT + shaft for shaft in SHAFT_OF_WHEEL)
 MOST_TEETH: Final = 120  # of a sensor wheel (`meshpoint.gearbox.sheet.Wheel`)
 FIRST_EDGES: Final = 16
 JITTERS: Final = 4096

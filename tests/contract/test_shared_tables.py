@@ -17,6 +17,7 @@ import meshpoint.controller.run.node
 import meshpoint.rig_sim.node
 import meshpoint.rig_sim.shared.valve_drivers
 from meshpoint.controller.settings.valve_name import ValveName
+from meshpoint.dbc.edges import EDGE_IDS, EDGE_MESSAGES
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
@@ -32,6 +33,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.dbc.truck import TRUCK_DBC
 from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.wheels import WHEEL_NAMES
 from meshpoint.logs.consumed import RIG_ADDRESSES
 
 DBC = Path(__file__).parents[2] / "dbc" / "meshpoint.dbc"
@@ -138,6 +140,16 @@ def start_of(database: Database, name: str, signal: str) -> int:
     bit = message(database, name).get_signal_by_name(signal).start
     assert bit % 8 == 0
     return bit // 8
+
+
+def test_each_wheel_of_a_sheet_has_its_messages_in_the_order_of_the_channels(
+    database: Database,
+) -> None:
+    names = [name.title().replace("_", "") for name in WHEEL_NAMES]
+    of_wheels = [f"Edges{name}{edge}" for name in names for edge in ("Rise", "Fall")]
+    assert [each.__name__ for each in EDGE_MESSAGES] == of_wheels
+    assert [message(database, name).frame_id for name in of_wheels] == list(EDGE_IDS)
+    assert list(EDGE_IDS) == sorted(EDGE_IDS)
 
 
 def test_the_guard_hears_the_messages_that_the_dbc_has(database: Database) -> None:

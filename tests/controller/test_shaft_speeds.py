@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from test_reported import SHEET, edge_frame
 
+from meshpoint.controller.measure import inputs
 from meshpoint.controller.measure.inputs import ShaftSpeedMeter, ShaftSpeeds, StepInputs
 from meshpoint.dbc.messages import (
     EdgesInputRise,
@@ -27,10 +28,10 @@ TEETH: dict[type, int] = {
 
 def seen(rad_s: dict[type, float], later_us: int = 0) -> ShaftSpeeds:
     """Speeds of these shafts at a read; how they look so much later."""
-    inputs, meter = StepInputs(), ShaftSpeedMeter(SHEET)
+    heard, meter = StepInputs(), ShaftSpeedMeter(SHEET)
     for kind, speed in rad_s.items():
-        inputs.edges[kind].append(edge_frame(kind, speed, TEETH[kind], NOW_US))
-    speeds = meter.take(inputs, NOW_US)
+        heard.edges[kind].append(edge_frame(kind, speed, TEETH[kind], NOW_US))
+    speeds = meter.take(heard, NOW_US)
     return meter.take(StepInputs(), NOW_US + later_us) if later_us else speeds
 
 
@@ -57,6 +58,14 @@ def test_nothing_is_said_of_shafts_of_which_one_is_not_seen(gone: type) -> None:
     for step in Range:
         assert not speeds.range_turns_together(step) or gone in (INPUT, LAYSHAFT)
     assert (speeds.slip_rad_s(MainGear.FIRST) is None) is (gone in (LAYSHAFT, MAIN))
+
+
+def test_a_second_wheel_of_a_shaft_speaks_where_the_first_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(inputs, "SHAFT_OF_WHEEL", (0, 1, 1, *inputs.SHAFT_OF_WHEEL[3:]))
+    assert seen({MAIN: 88.0}).layshaft == pytest.approx(88.0, rel=1e-3)
+    assert seen({MAIN: 88.0, LAYSHAFT: 141.0}).layshaft == pytest.approx(141.0, rel=1e-3)
 
 
 def test_speeds_are_kept_for_a_read_and_stale_soon() -> None:

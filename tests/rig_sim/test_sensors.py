@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from rig_bench import SHEET, RigBench, edges_of, release_first, thesis_rig, upshift
 
+from meshpoint.dbc.edges import EDGE_MESSAGES
 from meshpoint.dbc.messages import (
     EEC1,
     EdgesInputRise,
@@ -33,14 +34,7 @@ from meshpoint.units import RPM
 
 ORDER = [
     "EEC1",
-    "EdgesInputRise",
-    "EdgesInputFall",
-    "EdgesLayshaftRise",
-    "EdgesLayshaftFall",
-    "EdgesMainRise",
-    "EdgesMainFall",
-    "EdgesPropellerRise",
-    "EdgesPropellerFall",
+    *(message.__name__ for message in EDGE_MESSAGES),
     "GearboxSensors",
     "ValveStatus",
     "SleevesMain",

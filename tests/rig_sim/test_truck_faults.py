@@ -343,7 +343,7 @@ def test_a_scenario_file_says_what_when_and_how_long(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ('[[fault]]\nkind = "flood"', ["flood", "hall_dropout"]),
-        ('[[fault]]\nkind = "hall_dropout"\ntarget = 8', ["target", "0..7"]),
+        ('[[fault]]\nkind = "valve_stuck"\ntarget = 9', ["target", "0..8"]),
         ('[[fault]]\nkind = "hall_dropout"\nat_ms = nan', ["at_ms", "nan"]),
         ('[[fault]]\nkind = "hall_dropout"\nwhen = 1', ["when", "at_ms"]),
         ("fault = 3", ["[[fault]]"]),

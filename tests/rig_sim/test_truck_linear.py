@@ -5,15 +5,8 @@ from __future__ import annotations
 import pytest
 from rig_bench import RigBench, edges_of, release_first, thesis_rig, upshift
 
+from meshpoint.dbc.edges import EDGE_MESSAGES
 from meshpoint.dbc.messages import (
-    EdgesInputFall,
-    EdgesInputRise,
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
-    EdgesPropellerFall,
-    EdgesPropellerRise,
     GearboxSensors,
     MainGear,
     ReferenceEncoder,
@@ -25,11 +18,6 @@ from meshpoint.dbc.messages import (
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.truck.as_built import linear
-
-EDGES = (
-    EdgesInputRise, EdgesInputFall, EdgesLayshaftRise, EdgesLayshaftFall,
-    EdgesMainRise, EdgesMainFall, EdgesPropellerRise, EdgesPropellerFall,
-)  # fmt: skip
 
 
 def braked_to_rest(now_us: int) -> ValveCommand:
@@ -63,7 +51,7 @@ def test_every_edge_and_event_is_the_thesis_s_to_a_microsecond(
 ) -> None:
     """Whatever the profile: with every non-linearity off there is nothing left of it."""
     thesis, truck = pair(seed, valves, 1_200_000, profile)
-    for kind in EDGES:
+    for kind in EDGE_MESSAGES:
         exact, integrated = edges_of(thesis.of(kind)), edges_of(truck.of(kind))
         assert exact.keys() == integrated.keys()
         assert max(abs(exact[i] - integrated[i]) for i in exact) <= 1
