@@ -42,8 +42,8 @@ DEFAULT_PRESET: Final = Preset.TRUCK
 class Profile(StrEnum):
     """From which ranges the preset truck draws what is as built (docs/gearbox.md, Profiles).
 
-    CLEAN: a rigid driveline and good sensors. TYPICAL: a driveline that swings, shakes and scatters
-    as those of trucks do. HARSH: every range of it at its upper end."""
+    CLEAN: a rigid driveline and good sensors. TYPICAL: driveline oscillation, road input,
+    sensor noise, part tolerances. HARSH: every range of it at its upper end."""
 
     CLEAN = "clean"
     TYPICAL = "typical"

@@ -262,8 +262,8 @@ class BacklashParticleFilter:
             self._draw(weights)
 
     def _update_nis(self, off: Vector, variance: float) -> None:
-        """Takes how far off the cloud was: one that has lost the driveline does not know it by
-        itself, because what is resampled is as narrow as the little that was left."""
+        """Updates the mean NIS: a collapsed particle set underestimates its spread, so divergence
+        is detected from the innovations."""
         weights = self.weights
         mean = float(weights @ off)
         expected = float(weights @ (off - mean) ** 2) + variance

@@ -242,10 +242,10 @@ class JudgedCommand(NamedTuple):
         return span.start_us if drive is None else drive.start_us
 
     def _brakes_us(self, valve: int, span: Span) -> float:
-        """For so long this valve may be on against the push of the other one, which was on for so
-        much longer than this one and is off just now; where the sleeve is seen to move as pushed,
-        for as much longer as it stops short. 0 where there is none, or it is seen to move on toward
-        this valve's gear."""
+        """Longest time this valve may brake the sleeve after the opposite valve went off: as much
+        as that one was on longer; where the sleeve is seen to move as pushed, as much more as it
+        stops short. 0 where none went off just now, or it is seen to move toward this valve's
+        gear."""
         before, own = self.last_drive(OTHER_OF_DOG[valve]), self.drive_before(valve)
         gear = self.limits.dogs[valve]
         if (

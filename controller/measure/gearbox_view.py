@@ -271,7 +271,8 @@ class GearboxView:
         return (self.clutch.closed or 0.0) > self._clutch_kiss_share
 
     def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
-        """Takes the positions of the main box. What a sensor says of itself to be wrong is none."""
+        """Takes the positions of the main box. Samples flagged faulty by their sensor are
+        discarded."""
         self._faulty["main"] = message.sensor_fault
         self._take(Sleeve.FIRST_SECOND, time_us, message.sleeve_first_second_m)
         self._take(Sleeve.CRAWL_THIRD, time_us, message.sleeve_crawl_third_m)

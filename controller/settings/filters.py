@@ -112,7 +112,7 @@ class CrossingFilterTuning:
     """The real one is larger or smaller by this factor, one standard deviation."""
 
     def of(self, sheet: GearboxSheet) -> CrossingFilterTuning:
-        """The same with what this data sheet says."""
+        """These values with the data sheet's own filled in."""
         return dataclasses.replace(
             self,
             pressure_sd_pa=sheet.air.sensor_sd_pa,

@@ -94,8 +94,7 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 
 
 def _is_refused(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the valve side has not taken the firing: it refuses what it hears too late. Nothing
-    has moved then, and nothing will."""
+    """Whether the valve node refused the firing as late; the sleeve has not moved."""
     shift, plan = context.running, context.running.plan
     if plan is None or shift.calls >= CALLS or shift.measured_contact_us is not None:
         return False

@@ -364,8 +364,8 @@ class Sleeves:
     def _withstands_us(
         self, sleeve: Sleeve, direction: int, from_m: float, longer_us: int = 0
     ) -> int:
-        """Longest pulse towards neutral that throws no sleeve through; in its gear and out of it
-        are two things, as torque on the teeth holds it there."""
+        """Longest pulse towards neutral that cannot overshoot into the other gear; bounded
+        separately in and out of gear, since torque on the teeth adds friction."""
         tracked, in_gear = self._sleeves[sleeve], abs(from_m) > self._law.in_gear_m
         clear = (self._law.face_m - CLEAR_M + abs(from_m)) / self._law.face_m
         bound_us = RUN_ON_SHARE * self._least_stroke_us * clear ** (1.0 / 3.0)
