@@ -239,8 +239,11 @@ def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
 def ends_in_time(context: ShiftContext, snapshot: StepSnapshot, pulse: Pulse) -> Pulse:
     """The same pulse, a little later where it is too short: its end is sent by the first step that
     surely comes after its beginning, and none is shorter than what that takes. A step that comes a
-    little before would say the beginning once more, and the end would come a whole step late."""
-    lead_us = snapshot.earliest_us - snapshot.now_us
+    little before would say the beginning once more, and the end would come a whole step late.
+
+    Its end takes no more lead after a refusal: every pulse would be as much longer, where one that
+    is refused ends with the next step."""
+    lead_us = snapshot.earliest_us - snapshot.now_us - snapshot.more_lead_us
     long_us = max(pulse.off_us - pulse.on_us, EARLY_US + lead_us)
     sent_us = EARLY_US + (snapshot.now_us - EARLY_US - pulse.on_us) % context.tick_us
     on_us = pulse.on_us + max(0, sent_us + lead_us - long_us)

@@ -53,17 +53,23 @@ def sent_from_us(pulse: Pulse, early_us: int) -> int:
 
 @pytest.mark.parametrize("early_us", [0, 1, 400])
 @pytest.mark.parametrize("wished_us", [0, 3_700, 4_000, 4_500, 8_000, 11_000, 14_500])
+@pytest.mark.parametrize("more_us", [0, TICK_US])
 def test_the_end_of_a_pulse_is_sent_ahead_also_where_steps_come_a_little_early(
-    wished_us: int, early_us: int
+    wished_us: int, early_us: int, more_us: int
 ) -> None:
     """Red before: a push of 4 ms began in the very microsecond of a step, so that one which came a
     microsecond sooner, by another clock, said its beginning once more. It lasted 11 ms and threw
-    the sleeve through."""
+    the sleeve through. And for 10 s after an activation had been refused none was shorter than 14.5
+    ms, which the guard forbids: the shifts ended between gears."""
     context, snapshot = (
         cast("Any", SimpleNamespace(**given))
         for given in (
             {"tick_us": TICK_US},
-            {"now_us": NOW_US, "earliest_us": NOW_US + LEAD_US},
+            {
+                "now_us": NOW_US,
+                "earliest_us": NOW_US + LEAD_US + more_us,
+                "more_lead_us": more_us,
+            },
         )
     )
     for on_us in range(NOW_US + 2_000, NOW_US + 30_000, 500):
