@@ -181,12 +181,16 @@ class RigCore:
             frames.append(self._transmitter.encode(message))
 
     def _take_lines(self, time_us: int) -> list[str]:
-        lines = [f"{at_us / 1e6:.6f} s {text}" for at_us, text in self._world.take_lines()]
+        lines = [
+            f"{at_us / 1e6:.6f} s since its start: {text}"
+            for at_us, text in self._world.take_lines()
+        ]
         if self._world.valves.dropped > self._dropped:
             self._dropped = self._world.valves.dropped
             silent_ms = EXPIRY_US // 1000
             lines.append(
-                f"{time_us / 1e6:.6f} s no valve command for {silent_ms} ms: all valves off"
+                f"{time_us / 1e6:.6f} s since its start: no valve command for {silent_ms} ms: "
+                "all valves off"
             )
         return lines + self._suspicions.take_lines(time_us)
 

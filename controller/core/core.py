@@ -285,7 +285,7 @@ class ControllerCore:
         if self._guarded.guard.is_armed:
             frames.append(self._transmitter.encode(ClutchCommand()))
         self._observer.finish_learning()
-        return Step(frames, [f"valves off at {now_us} us"])
+        return Step(frames, [f"valves off at {now_us / 1e6:.6f} s of its clock"])
 
     def _lateness_us(self, now_us: int) -> int:
         """Delay of this step after the time it was due (us); 0 for a probe of the clock."""

@@ -27,7 +27,7 @@ from meshpoint.cli import arguments
 from meshpoint.logs.log_clock import Entry, Unpack
 from meshpoint.logs.log_progress import read_in_sensor_time
 from meshpoint.logs.story import Story
-from meshpoint.results.output import beside, complain, console, tell
+from meshpoint.results.output import beside, check_writable, complain, console, tell
 
 FILES: Final = {".mcap": mcap_file, ".mf4": mf4_file, ".parquet": parquet_file}
 """What is written, by the file's ending."""
@@ -85,11 +85,14 @@ def run(namespace: argparse.Namespace) -> int:
     if not namespace.log:
         raise CommandError("-o without LOG: there is nothing to convert")
     path: Path = namespace.output
+    if path.is_dir():
+        raise CommandError(f"-o {path}: is a folder, allowed is a file")
     if path.suffix not in FILES:
         raise CommandError(f"-o {path}: ends in {path.suffix!r}, allowed are {', '.join(FILES)}")
     files, sheet = log_files(namespace.log), arguments.sheet_of(namespace)
     if path.exists() and any(path.samefile(file) for file in files):
         raise CommandError(f"-o {path}: is the log itself")
+    check_writable(str(path))
     said, entries = read_in_sensor_time(namespace, files, sheet)
     try:
         with beside(path) as new:

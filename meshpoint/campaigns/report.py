@@ -127,16 +127,18 @@ def _ratios(values: dict[str, Any]) -> str:
     rows = []
     for name, ratios in values["ratios"].items():
         found = [ratios.get(key, {"ratio": None, "ci95": [None, None]}) for key in keys]
-        cells = [
-            f"{_text(f['ratio'], 2)} ({_text(f['ci95'][0], 2)} to {_text(f['ci95'][1], 2)})"
-            for f in found
-        ]
-        rows.append(_line(name, cells))
+        rows.append(_line(name, [_ratio(figure) for figure in found]))
     return table(head, rows)
 
 
 def _line(name: str, cells: list[str]) -> str:
     return f"<tr>{table_row([(name, ''), *((cell, NUMBER_CLASS) for cell in cells)])}</tr>\n"
+
+
+def _ratio(figure: dict[str, Any]) -> str:
+    low, high = (_text(bound, 2) for bound in figure["ci95"])
+    interval = "" if None in figure["ci95"] else f" ({low} to {high})"
+    return _text(figure["ratio"], 2) + interval
 
 
 def _text(value: float | None, digits: int) -> str:

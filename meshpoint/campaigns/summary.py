@@ -25,7 +25,7 @@ from meshpoint.campaigns.intervals import (
     resample,
     telling_runs,
 )
-from meshpoint.campaigns.spec import TRUE_STATE
+from meshpoint.campaigns.spec import TRUE_STATE, is_blind
 from meshpoint.kernels.records import Integers, Vector
 from meshpoint.results.better import Judged, less_is_better, named, sentence
 from meshpoint.results.rows import SOURCES
@@ -134,7 +134,7 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
         "shifts": len(shifts),
         "refused": shots.refused,
         "first_contact_gap": _rate(shots.gap_rate()),
-        "promise": _promise(shots),
+        "promise": _promise(name, shots),
         "duration_ms": {
             "mean": _mean(durations),
             "mean_ci95": interval(resamples.of(name, "duration_ms_mean")),
@@ -177,7 +177,10 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
     }
 
 
-def _promise(shots: Shots) -> dict[str, Any]:
+def _promise(name: str, shots: Shots) -> dict[str, Any]:
+    """None of a strategy that does not aim, whatever phase it was predicted to meet."""
+    if is_blind(name):
+        return {"shifts": 0, "said": None, "kept": None}
     said, kept = shots.promise()
     return {"shifts": said.size, "said": _mean(said), "kept": _mean(kept)}
 

@@ -124,7 +124,8 @@ def _ratio(figure: dict[str, Any] | None) -> str:
     if figure is None or figure["ratio"] is None:
         return "-"
     low, high = figure["ci95"]
-    return f"{figure['ratio']:.2f}\n({number(low, 2)}..{number(high, 2)})"
+    interval = "" if low is None or high is None else f"\n({low:.2f}..{high:.2f})"
+    return f"{figure['ratio']:.2f}{interval}"
 
 
 def _percent(share: float | None) -> str:

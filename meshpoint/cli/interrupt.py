@@ -1,4 +1,4 @@
-"""Ctrl-C in a long computation: it ends where its results are whole."""
+"""Ctrl-C or SIGTERM in a long computation: it ends where its results are whole."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ from types import FrameType
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """While this lasts, the first SIGINT is only noted, and the function says whether it came; a
-    second one acts as usual. In a thread other than the main one nothing is caught."""
+    """While this lasts, the first SIGINT or SIGTERM is only noted, and the function says whether it
+    came; a second of its kind acts as usual. In a thread other than the main one nothing is
+    caught."""
     came = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield came.is_set
         return
-    before = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
-    def note(_number: int, _frame: FrameType | None) -> None:
+    def note(number: int, _frame: FrameType | None) -> None:
         came.set()
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before[signal.Signals(number)])
 
-    signal.signal(signal.SIGINT, note)
+    for number in before:
+        signal.signal(number, note)
     try:
         yield came.is_set
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

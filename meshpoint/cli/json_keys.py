@@ -63,7 +63,8 @@ STRATEGY_KEYS: Final = {
     "(`rate`, `ci95`); of those with dog teeth to meet, which changes of the splitter alone have "
     "not.",
     "promise": "Of the `shifts` fired once at a known phase: the mean probability of the gap as "
-    "predicted at the firing (`said`), and how often it was met (`kept`).",
+    "predicted at the firing (`said`), and how often it was met (`kept`); none of a strategy that "
+    "does not aim.",
     "duration_ms": "From request to outcome, including shifts that were not engaged: mean, p50, "
     "p99, intervals.",
     "after_ramp_ms": "The duration from the end of the torque ramp, which is the same for every "

@@ -66,7 +66,10 @@ def run(namespace: argparse.Namespace) -> int:
 
 def sheet_toml(sheet: GearboxSheet) -> str:
     """A data sheet as a file with every key explained; read again it is the same sheet."""
-    title = f"Data sheet {sheet.name}, sha256 {sheet.sha256}; `--gearbox FILE` takes it."
+    title = (
+        f"Data sheet {sheet.name}; `--gearbox FILE` takes it.\n"
+        f"sha256 of the sheet as shown, before any change of yours:\n{sheet.sha256}"
+    )
     left_out = "splitter.dog" if sheet.splitter.dog is None else None
     groups = [group for group in groups_of(GearboxSheet, sheet) if group.name != left_out]
     return to_toml(groups, title)

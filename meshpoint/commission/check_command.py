@@ -230,9 +230,9 @@ def findings_table(findings: list[Finding]) -> Table:
     table = Table(box=None, pad_edge=False, collapse_padding=True)
     for column in ("what", "", "seen"):
         table.add_column(column, overflow="fold")
-    for group, subject, verdict, text in findings:
-        colour = COLOURS[verdict]
-        table.add_row(f"{group}: {subject}", Text(verdict, colour), text)
+    for each in findings:
+        verdict = Text(each.verdict, COLOURS[each.verdict])
+        table.add_row(f"{each.group}: {each.subject}", verdict, each.text)
     return table
 
 

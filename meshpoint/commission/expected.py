@@ -87,13 +87,15 @@ def _judge(heard: Heard, spec: MessageSpec, seconds: float) -> Finding:
             f"{message.frames} frames, none good ({refused}): another DBC, or another data ID",
         )  # fmt: skip
     rate_hz = good / seconds if seconds > 0.0 else 0.0
-    age_ms = 1e3 * (heard.now_s - message.newest_s)
+    age_ms = 1e3 * (heard.now_s - message.newest_s) * heard.pace
     state = heard.state(CODECS[spec.name].message_type)
     text = f"{rate_hz:.1f} a second, {age_ms:.0f} ms old, channel {state.name.lower()}"
+    wrong = [] if state is ChannelState.VALID else [f"channel {state.name.lower()}"]
     if refused:
         text += f", refused: {refused}"
-    slow = abs(rate_hz / wanted_hz - 1.0) > RATE_SHARE + 2.0 / (wanted_hz * seconds)
-    if slow:
+        wrong.append(f"refused: {refused}")
+    if abs(rate_hz / wanted_hz - 1.0) > RATE_SHARE + 2.0 / (wanted_hz * seconds):
         text += f"; {wanted_hz:g} a second wanted"
-    is_bad = state is not ChannelState.VALID or slow or refused
-    return Finding(GROUP, spec.name, Verdict.BAD if is_bad else Verdict.GOOD, text)
+        wrong.append(f"{rate_hz:.0f} a second, {wanted_hz:g} wanted")
+    verdict = Verdict.BAD if wrong else Verdict.GOOD
+    return Finding(GROUP, spec.name, verdict, text, ", ".join(wrong))

@@ -28,6 +28,8 @@ class Finding(NamedTuple):
     verdict: Verdict
     text: str
     """What was seen, in words, with units."""
+    why: str = ""
+    """Of a bad one, what of it is wrong; empty: all of the text."""
 
     def to_json(self) -> dict[str, Any]:
         """As plain values."""
@@ -40,10 +42,14 @@ class Finding(NamedTuple):
 
 
 def answer(findings: Sequence[Finding]) -> tuple[bool, str]:
-    """Yes or no, and the reason: every bad finding, or what stays unknown."""
+    """Yes or no, and the reason: what is bad, each with all that it is so of; or what stays
+    unknown."""
     bad = [f for f in findings if f.verdict is Verdict.BAD]
     if bad:
-        return False, "; ".join(f"{f.subject}: {f.text}" for f in bad)
+        subjects: dict[str, list[str]] = {}
+        for finding in bad:
+            subjects.setdefault(finding.why or finding.text, []).append(finding.subject)
+        return False, "; ".join(f"{', '.join(who)}: {text}" for text, who in subjects.items())
     unknown = [f.subject for f in findings if f.verdict is Verdict.UNKNOWN]
     if unknown:
         items = "1 item" if len(unknown) == 1 else f"{len(unknown)} items"

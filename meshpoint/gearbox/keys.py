@@ -176,8 +176,9 @@ def _one_line(text: str) -> str:
 
 
 def to_toml(groups: list[KeyGroup], title: str) -> str:
-    """A file that holds every key, each with its meaning, unit and allowed values above it."""
-    lines = _comment(title)
+    """A file that holds every key, each with its meaning, unit and allowed values above it; the
+    lines of the title begin lines of its own."""
+    lines = [line for part in title.split("\n") for line in _comment(part)]
     for group in groups:
         if not group.keys:
             continue

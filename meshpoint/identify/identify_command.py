@@ -78,6 +78,7 @@ def run(namespace: argparse.Namespace) -> int:
     if namespace.output is not None:
         check_writable(str(namespace.output))
     files = _each_once(log_files(namespace.log))
+    _check_there(files)
     sheet, gearbox, said = _sheet(namespace, files)
     if said is not None:
         complain(said)
@@ -105,6 +106,15 @@ def run(namespace: argparse.Namespace) -> int:
     if log.interrupted:
         return Exit.INTERRUPTED
     return Exit.NOT_DECIDED if found.refused else Exit.DONE
+
+
+def _check_there(files: list[Path]) -> None:
+    """LogError for a file that is not there, before anything is said of the others."""
+    for path in files:
+        try:
+            path.stat()
+        except OSError as error:
+            raise LogError(path, "", error.strerror or str(error)) from error
 
 
 def _each_once(files: list[Path]) -> list[Path]:

@@ -101,8 +101,10 @@ class Heard:
         self._clocks = (_RunOn(), _RunOn())
         """Of the sensor side and of the controller, as their frames tell them."""
         self._begin_s: float | None = None
+        self._clock_s: float | None = None
+        """When the newest frame came that tells a clock."""
         self._idle_us = 0
-        """Time without any frame, since the last one."""
+        """Bus time without any frame, since the last one."""
         self._stamp_us: int | None = None
         """The newest sensor time heard, 32 bits."""
         self._behind_us: deque[int] = deque(maxlen=LEAST_DELAY_FRAMES)
@@ -132,6 +134,8 @@ class Heard:
             self._behind_us.append(round(self.now_s * 1e6) - sensor_side.total_us)
         elif isinstance(message, ControllerStatus):
             controller.take(message.step_time_us)
+        if isinstance(message, (*STAMPED, ControllerStatus)):
+            self._clock_s = self.now_s
         self._receiver.tick(self.bus_us)
         return message
 
@@ -154,10 +158,18 @@ class Heard:
             return round((self.now_s - (self._begin_s or self.now_s)) * 1e6)
         return reported_us + self._idle_us
 
+    @property
+    def pace(self) -> float:
+        """Seconds of bus time in one of the clock that hears, at most 1: less where bus time waits
+        for a busy machine."""
+        heard_s = (self._clock_s or 0.0) - (self._begin_s or 0.0)
+        reported_s = max(clock.total_us for clock in self._clocks) * 1e-6
+        return min(1.0, reported_s / heard_s) if reported_s and heard_s > 0.0 else 1.0
+
     def idle(self, now_s: float) -> None:
         """Nothing has come up to now: ages grow, and what stays away is no longer valid."""
         if self._begin_s is not None and now_s > self.now_s:
-            self._idle_us += round((now_s - self.now_s) * 1e6)
+            self._idle_us += round((now_s - self.now_s) * self.pace * 1e6)
             self._receiver.tick(self.bus_us)
         self.now_s = max(self.now_s, now_s)
 

@@ -37,6 +37,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.gearbox.gears import splitter_only
 from meshpoint.logs.heard import Heard
 from meshpoint.logs.xcp_writes import XcpWrites
 from meshpoint.results.aborts import aborts_words, halt_mm
@@ -130,6 +131,8 @@ class Story:
         self._begin_s: float | None = None
         self._request_us: int | None = None
         self._asked: int | None = None
+        self._moved_by_bench = False
+        """The bench is putting the gearbox back: what sleeves and gears do is its doing."""
         self._newest: dict[type[object], Message] = {}
         self._xcp = XcpWrites()
         self._valve_on_us: dict[str, int] = {}
@@ -180,6 +183,7 @@ class Story:
             return
         self._asked = gear
         self._request_us = self.heard.sensor_us
+        self._moved_by_bench = False
         self._tell("driver", "asks for neutral" if gear == 0 else f"asks for gear {gear}")
 
     def _clutch(self, message: ClutchCommand) -> None:
@@ -268,8 +272,9 @@ class Story:
             words += "" if message.attempts == 1 else "s"
             if message.aborts:
                 words += f", aborted {aborts_words(message.aborts, halt_mm(message))}"
-            known = message.reference is PhaseReference.KNOWN
-            words += ", aimed" if known else ", phase reference not known yet"
+            if not splitter_only(message.from_gear, message.to_gear):  # that is never aimed
+                known = message.reference is PhaseReference.KNOWN
+                words += ", aimed" if known else ", phase reference not known yet"
         if message.fault is not FaultCode.NONE:
             words += f" ({_fault(message.fault)})"
         self._tell("controller", words)
@@ -277,6 +282,7 @@ class Story:
 
     def _truth(self, message: ReferenceEngagement) -> None:
         if message.event is EngagementEvent.READY:
+            self._moved_by_bench = False
             return
         words = TRUTHS[message.event]
         if message.event in CONTACT_KINDS:
@@ -284,6 +290,7 @@ class Story:
             words += f" at {message.slip_rad_s / RPM:+.1f} rpm"
         elif message.event is EngagementEvent.LOCKED and message.impact_energy_j > 0.0:
             words += f", {message.impact_energy_j:.2f} J lost in the impact"
+        words += " (moved by the bench)" if self._moved_by_bench else ""
         self._tell("truth", words, message.event_time_us)
 
     def _fault(self, message: BenchFault) -> None:
@@ -305,6 +312,7 @@ class Story:
         again = isinstance(before, BenchCommand) and before.sequence == message.sequence
         if message.action is BenchAction.RETURN_TO_GEAR and not again:
             self._tell("bench", f"puts the gearbox back into gear {message.gear}")
+            self._moved_by_bench = True
 
     def _silences(self) -> None:
         """Cyclic messages that were in order and are not any more, and those that are again; all

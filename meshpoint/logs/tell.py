@@ -38,7 +38,8 @@ def add_parser(commands: Any) -> None:
         description="Reads a log and says what happened: who asked for which gear, what the "
         "controller decided, what the valves did, how the shift ended; what was lost on the bus. "
         "Columns: seconds of the log, milliseconds since the gear was asked for by the sensor "
-        "clock, who, what. Lines marked `truth` come from the virtual rig alone.",
+        "clock, who, what. Lines marked `truth` come from the virtual rig alone; with `moved by "
+        "the bench` they are no shift's: the bench puts the gearbox back by force before the next.",
     )
     arguments.add_logs(parser)
     parser.add_argument(

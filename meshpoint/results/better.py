@@ -114,6 +114,8 @@ def sentence(name: str, other: str, shifts: int, judged: Sequence[Judged]) -> st
         verdict = f"is better than {other} in {_and(ways[True])} and worse in {_and(ways[False])}"
     elif sure:
         verdict = f"is {'better' if ways[True] else 'worse'} than {other}"
+    elif any(each.is_beyond_chance is None and each.is_better is not None for each in judged):
+        verdict = f"cannot be judged against {other}, as chance is not known"
     else:
         verdict = f"differs from {other} by no more than chance"
     return f"On the same {counted(shifts)} {name} {verdict}: {'; '.join(map(str, judged))}."

@@ -59,7 +59,7 @@ TITLES: Final = {
     "braking_ms": "braking",
     "release_ms": "release",
     "entry_ms": "contact to lock",
-    "seen_ms": "lock to seen",
+    "seen_ms": "until seen in",
     "closing_ms": "plates meet (after)",
 }
 

@@ -104,3 +104,13 @@ def test_what_was_promised_is_held_against_what_was_kept() -> None:
     assert promise["shifts"] == 3
     assert promise["said"] == pytest.approx((0.5 + 0.5 + 0.84) / 3, abs=2e-3)
     assert promise["kept"] == pytest.approx(2 / 3)
+
+
+def test_a_strategy_that_does_not_aim_promises_nothing() -> None:
+    pitch = {"pitch_deg": 10.0, "backlash_percent": 20.0, "predicted_phase_sd_deg": 0.5}
+    row = shift(1, attempts=1, predicted_phase_deg=1.0, contact="gap", **pitch)
+    rows = [replace(row, strategy="speed_window")]
+    found = summarise(Shifts.of(rows), ("speed_window",))
+    assert found["strategies"]["speed_window"]["promise"] == {
+        "shifts": 0, "said": None, "kept": None,
+    }  # fmt: skip

@@ -80,7 +80,7 @@ def test_a_controller_that_is_not_armed_says_so_once_and_sends_valves_off_alone(
     assert sent(a_core().step(T0), ClutchCommand) is not None
     for armed in (False, True):
         last = a_core(armed).shutdown(T0)
-        assert last.events == [f"valves off at {T0} us"]
+        assert last.events == [f"valves off at {T0 / 1e6:.6f} s of its clock"]
         assert sent(last, ValveCommand) == ValveCommand()
         assert (sent(last, ClutchCommand) == ClutchCommand()) is armed
 

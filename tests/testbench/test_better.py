@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.stats import binomtest, ttest_rel
 
-from meshpoint.results.better import Outcome, by_pairs, sentence
+from meshpoint.results.better import Judged, Outcome, by_pairs, sentence
 
 
 def pairs(mine: list[float], theirs: list[float]) -> list[tuple[Outcome, Outcome]]:
@@ -61,3 +61,11 @@ def test_the_sentence_says_both_where_one_is_better_and_the_other_worse() -> Non
         "1.75 J (better, within chance)."
     )
     assert sentence("a", "b", 0, []) == ""
+
+
+def test_where_chance_is_not_known_none_is_said_to_explain_the_difference() -> None:
+    unknown = [Judged("time", "421 instead of 484 ms", True, None)]
+    assert sentence("a", "b", 2, unknown) == (
+        "On the same 2 shifts a cannot be judged against b, as chance is not known: time 421 "
+        "instead of 484 ms (better, chance not known)."
+    )

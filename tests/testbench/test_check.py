@@ -143,6 +143,26 @@ def test_a_rate_is_the_bus_s_own_while_bus_time_waits_for_a_busy_machine(driving
     assert found(listener)["GearboxSensors"].verdict is Verdict.GOOD
 
 
+def test_a_stall_at_the_end_is_no_silence_where_bus_time_waits(driving) -> None:
+    slow = [(100.0 + 8.0 * (t - 100.0), frame) for t, frame in driving[: len(driving) // 8]]
+    listener = heard(slow)
+    listener.heard.idle(listener.heard.now_s + 0.2)
+    assert "GearboxSensors" not in bad(listener)
+    assert "channel valid" in found(listener)["GearboxSensors"].text
+    listener.heard.idle(listener.heard.now_s + 2.0)  # as long as nothing waits
+    assert "GearboxSensors" in bad(listener)
+
+
+def test_what_is_wrong_with_many_messages_is_said_once(driving) -> None:
+    listener = heard(driving)
+    listener.heard.idle(listener.heard.now_s + 1.0)
+    is_ready, reason = answer(list(listener.findings()))
+    assert not is_ready
+    assert reason.count("channel invalid") == 1
+    assert "EdgesInputRise, EdgesInputFall, " in reason
+    assert "EEC1: channel invalid, 80 a second, 100 wanted" in reason
+
+
 def test_no_air_and_a_dragging_brake_are_no(driving) -> None:
     def change(m):
         if isinstance(m, GearboxSensors):
@@ -328,4 +348,4 @@ def test_a_bus_that_only_repeats_what_is_not_ours_is_no() -> None:
         listener.take(i * 0.01, can.Message(arbitration_id=0x123, is_extended_id=False))
     is_ready, reason = answer(list(listener.findings()))
     assert not is_ready
-    assert "GearboxSensors: not heard" in reason
+    assert "GearboxSensors, " in reason and reason.count("not heard") == 1

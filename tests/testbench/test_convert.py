@@ -222,6 +222,21 @@ def test_a_log_is_not_written_over_by_its_own_series(
     assert log.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [("nowhere/x.parquet", "there is no folder nowhere; make it first"), (".", "is a folder")],
+)
+def test_where_nothing_can_be_written_is_said_before_the_log_is_read(
+    target: str, said: str, tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("x.log").write_text("nonsense\n")  # of which nothing is said
+    assert main(["convert", "x.log", "-o", target]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert [path.name for path in tmp_path.iterdir()] == ["x.log"]
+
+
 def test_a_log_of_another_bus_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,6 +48,16 @@ def test_it_begins_with_the_sheet_of_the_log_s_run_header(
     assert "needs --gearbox" in capsys.readouterr().err
 
 
+def test_a_log_that_is_not_there_is_all_that_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = tmp_path / "there.log"
+    there.write_text("nonsense\n")
+    assert main(["identify", str(there), str(tmp_path / "run.toml")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "run.toml" in line and "No such file" in line
+
+
 def test_a_log_that_is_named_twice_is_refused(
     log: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -89,6 +89,19 @@ def usual_interrupt() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+def test_sigterm_is_noted_as_ctrl_c_is_and_a_second_one_acts_as_usual() -> None:
+    seen = []
+    before = signal.signal(signal.SIGTERM, lambda *_: seen.append("usual"))
+    try:
+        with interruptible() as interrupted:
+            signal.raise_signal(signal.SIGTERM)
+            assert interrupted() and not seen
+            signal.raise_signal(signal.SIGTERM)
+            assert seen == ["usual"]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 @pytest.mark.usefixtures("usual_interrupt")
 def test_the_first_interrupt_is_noted_and_the_second_acts_as_usual() -> None:
     with interruptible() as interrupted:

@@ -74,6 +74,29 @@ def test_each_shift_is_reported_from_its_request_to_its_end_with_the_rows_own_fi
         assert row["duration_ms"] <= (end.of_request_ms or 0.0) <= row["duration_ms"] + 25
 
 
+def test_what_the_bench_does_to_the_gears_is_said_to_be_its_own(
+    run: tuple[Path, list[dict[str, Any]]],
+) -> None:
+    lines = reported(run[0])
+    is_bench, found = False, {True: 0, False: 0}
+    for line in lines:
+        if line.who in ("bench", "driver"):
+            is_bench = line.words.startswith("puts the gearbox back")
+        if "tooth meets" in line.words or "locked" in line.words:
+            assert line.words.endswith(" (moved by the bench)") is is_bench, line
+            found[is_bench] += 1
+    assert found[True] >= 2 and found[False] >= 4
+
+
+def test_a_shift_of_the_splitter_alone_is_not_said_to_lack_a_reference() -> None:
+    outcome = ShiftOutcome(from_gear=7, to_gear=8, result=ShiftResult.ENGAGED, attempts=1)
+    sender = Transmitter(Node.TRANSMISSION_CONTROL)
+    (line,) = Story().receive(0.0, sender.encode(outcome))
+    assert line.words == "gear 8 is in: 0 ms, 1 firing"
+    (line,) = Story().receive(0.1, sender.encode(outcome._replace(from_gear=6)))
+    assert line.words.endswith("phase reference not known yet")
+
+
 def test_nothing_is_lost_in_a_run_without_faults(
     run: tuple[Path, list[dict[str, Any]]],
 ) -> None:
