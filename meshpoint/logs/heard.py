@@ -102,7 +102,7 @@ class Heard:
         """Of the sensor side and of the controller, as their frames tell them."""
         self._begin_s: float | None = None
         self._clock_s: float | None = None
-        """When the newest frame came that tells a clock."""
+        """When the newest frame came that carries a clock."""
         self._idle_us = 0
         """Bus time without any frame, since the last one."""
         self._stamp_us: int | None = None
