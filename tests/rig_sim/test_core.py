@@ -49,7 +49,7 @@ def test_the_valves_expire_100_ms_after_the_last_frame() -> None:
     assert bench.of(ValveStatus)[-1].expired_count == 1
     assert not bench.of(ValveStatus)[-1].brake_energised
     said = [line for line in bench.lines if "no valve command" in line]
-    assert said == ["0.400000 s no valve command for 100 ms: all valves off"]
+    assert said == ["0.400000 s since its start: no valve command for 100 ms: all valves off"]
 
 
 def test_the_clutch_moves_linearly_and_opens_by_itself() -> None:
