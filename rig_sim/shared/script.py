@@ -3,7 +3,7 @@
     RELEASE   60 ms   the main sleeves go to neutral
     RAMP      300 ms  constant acceleration of layshaft and main shaft; splitter and range change
                       (or as long as is set)
-    STEP              a splitter with dog teeth that changes: input shaft and layshaft keep their
+    SPLITTER          a splitter with dog teeth that changes: input shaft and layshaft keep their
                       speeds, 20 rpm of slip, less where gaps are small, while its sleeve goes in by
                       the contact rule
     ENGAGE            the layshaft keeps its speed, the same slip, while the main sleeve goes in
@@ -57,7 +57,7 @@ class ScriptStage(IntEnum):
     IDLE = 0
     RELEASE = 1
     RAMP = 2
-    STEP = 3
+    SPLITTER = 3
     ENGAGE = 4
 
 
@@ -121,13 +121,13 @@ class BenchScript:
             {
                 ScriptStage.RELEASE: self._ramp,
                 ScriptStage.RAMP: self._hold,
-                ScriptStage.STEP: self._engage,
+                ScriptStage.SPLITTER: self._engage,
                 ScriptStage.ENGAGE: self._ready,
             }[self.stage]()
 
     def watch(self) -> None:
         """After any event: once the gear is locked, wait for its sleeve's full stroke."""
-        if self.stage < ScriptStage.STEP or self._stage_end_us != NEVER_US:
+        if self.stage < ScriptStage.SPLITTER or self._stage_end_us != NEVER_US:
             return
         sleeve = self._engagement.sleeves[self._moved]
         if sleeve.state is SleeveState.LOCKED:
@@ -149,7 +149,7 @@ class BenchScript:
     @property
     def _moved(self) -> Sleeve:
         """The sleeve that goes in now."""
-        is_step = self.stage is ScriptStage.STEP
+        is_step = self.stage is ScriptStage.SPLITTER
         return Sleeve.SPLITTER if is_step else SLEEVE_OF_MAIN[self._main_gear].sleeve
 
     def _ramp(self) -> None:
@@ -186,7 +186,7 @@ class BenchScript:
             self._engage()
             return
         self._plant.script_input(0.0)
-        self._move_in(ScriptStage.STEP, self._split)
+        self._move_in(ScriptStage.SPLITTER, self._split)
 
     def _engage(self) -> None:
         self._move_in(ScriptStage.ENGAGE, self._main_gear)

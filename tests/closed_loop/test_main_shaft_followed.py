@@ -59,19 +59,25 @@ class Watched(AroundCore[ControllerCore]):
         return step
 
 
-@pytest.mark.parametrize(("pair", "least"), [((10, 8), 0.8), ((4, 2), 0.6), ((7, 5), 0.4)])
+@pytest.mark.parametrize(
+    ("pair", "seeds", "least"),
+    [((10, 8), (3,), 0.8), ((4, 2), (3,), 0.6), ((7, 5), (3, 4, 5), 0.45)],
+)
 def test_while_the_engine_raises_a_gear_it_is_known_where_the_main_shaft_will_be(
-    pair: tuple[int, int], least: float
+    pair: tuple[int, int], seeds: tuple[int, ...], least: float
 ) -> None:
     """30 ms ahead, within half a gap, from a tenth of a second in neutral on. From fourth to second
     the raise is over before the swing has died down: 0.66 of 14 shifts, whose share is 0.12 off by
-    chance."""
-    setup = Setup(
-        SHEET, ControllerSettings(), profile=Profile.TYPICAL, seed=3, shifts=SHIFTS, pairs=(pair,)
-    )
-    watched = Watched(ControllerCore(setup.header))
-    make_shifts(setup, watched)
-    off = watched.off_rad
+    chance. Across the range gearboxes differ: 0.40, 0.48 and 0.73."""
+    off = list[float]()
+    for seed in seeds:
+        setup = Setup(
+            SHEET, ControllerSettings(), profile=Profile.TYPICAL, seed=seed, shifts=SHIFTS,
+            pairs=(pair,),
+        )  # fmt: skip
+        watched = Watched(ControllerCore(setup.header))
+        make_shifts(setup, watched)
+        off += watched.off_rad
     assert len(off) > 40
     share = sum(each < HALF_GAP_RAD for each in off) / len(off)
     assert share > least

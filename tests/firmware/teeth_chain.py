@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from firmware_bench import AT_REST, BY_ID, WRAP
 
-from meshpoint.bench.firmware_rig import EDGES as CHANNEL_OF
+from meshpoint.bench.firmware_rig import EDGES as EDGE_IDS
 from meshpoint.bench.schedules import MIXED
 from meshpoint.bench.setup import Setup
 from meshpoint.bench.simulate import simulate
@@ -37,6 +37,7 @@ FOUND_US = 1_100_000
 """When a rig that is heard from the beginning is played."""
 NEAR_US = 150.0
 """Two edges of a channel are further apart, and the clock does not change as much between them."""
+CHANNEL_OF = {can_id: channel for channel, can_id in enumerate(EDGE_IDS)}
 Timed = tuple[int, Frame]
 
 

@@ -254,7 +254,7 @@ def test_a_log_of_another_bus_leaves_no_file(
             ["{log}", "-o", "x.csv"],
             r"x\.csv: ends in '\.csv', allowed are \.mcap, \.mf4, \.parquet",
         ),
-        (["{log}", "-o", "none/x.mcap"], "none/x.mcap: cannot be written: No such file"),
+        (["{log}", "-o", "none/x.mcap"], "none/x.mcap: there is no folder none; make it first"),
         (["-o", "x.mcap"], "-o without LOG"),
         (["missing.log", "-o", "x.mcap"], "missing.log"),
         (["{log}", "--live"], "--live with LOG"),
