@@ -132,9 +132,9 @@ class Heard:
                 self._behind_us.clear()
             self._stamp_us = message.sample_time_us
             self._behind_us.append(round(self.now_s * 1e6) - sensor_side.total_us)
+            self._clock_s = self.now_s
         elif isinstance(message, ControllerStatus):
             controller.take(message.step_time_us)
-        if isinstance(message, (*STAMPED, ControllerStatus)):
             self._clock_s = self.now_s
         self._receiver.tick(self.bus_us)
         return message

@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
     ShiftResult,
 )
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.gears import DRIVE_GEARS, splitter_only
 from meshpoint.results.aborts import halt_mm
 from meshpoint.results.road_speed import RoadSpeed, span_us
 from meshpoint.results.shift_figures import ShiftFigures
@@ -266,11 +266,10 @@ class _Meeting(NamedTuple):
 def _meeting(outcome: ShiftOutcome, events: list[ReferenceEngagement]) -> _Meeting:
     """What gear and sleeve of a shift have done: those of the main box, or of the splitter where it
     alone has changed."""
-    before, after = DRIVE_GEARS.get(outcome.from_gear), DRIVE_GEARS[outcome.to_gear]
-    gear, neutral = MainGear(after.main), MainGear.NEUTRAL
+    gear, neutral = MainGear(DRIVE_GEARS[outcome.to_gear].main), MainGear.NEUTRAL
     found = [event for event in events if event.gear == gear]
     splits = [each for each in events if each.gear == neutral and each.event in OF_TEETH]
-    if before is not None and (before.main, before.range_) == (after.main, after.range_):
+    if splitter_only(outcome.from_gear, outcome.to_gear):
         return _Meeting(neutral, splits) if splits else _Meeting(gear, found)
     return _Meeting(gear, found, tuple(splits))
 
