@@ -232,7 +232,7 @@ def settle(gate: Gate, teeth: Integers, time_us: int, falling: int, verdict: int
         gate.extra += 1
         gate.rejected += 1
         # An edge at a place where the wheel has no tooth speaks against the count.
-        if falling == 0 and abs(gate.error - np.round(gate.error)) < OUT_OF_TURN:
+        if falling == 0 and abs(gate.error - round(gate.error)) < OUT_OF_TURN:
             gate.gap_hits += int(counting and gate.error < -0.5)
         idle = (time_us - gate.time_us) * gate.least_rate_per_us > LONG
         if gate.rejected > MOST_REJECTED or idle:

@@ -29,6 +29,7 @@ import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.registry import cpu_target
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from meshpoint.kernels.digest import digest_by_source, digest_of
@@ -101,7 +102,9 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was compiled before, or None: numba then compiles it."""
-        target_context.refresh()
+        # All that kept code needs of it. Only a compiler needs numba's operations on arrays, which
+        # bring scipy's: numba itself loads them before it compiles.
+        rtsys.initialize(target_context)
         if not self._enabled:
             return None
         entry = self._entry(sig)
