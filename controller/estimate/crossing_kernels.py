@@ -14,11 +14,12 @@ batch least squares for the teeth, in any motion that the filter's model follows
 from __future__ import annotations
 
 import math
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, Generic, TypeVar
 
 import numpy as np
 
 from meshpoint.controller.models.layshaft_kernels import (
+    DISTURBANCE,
     DRAG,
     LONGEST_S,
     OMEGA,
@@ -34,18 +35,21 @@ from meshpoint.controller.models.layshaft_kernels import (
     mirror,
     spread_over,
     transition,
+    valve_after,
 )
-from meshpoint.controller.models.swing import SWING_STATES
+from meshpoint.controller.models.swing import (
+    RATE,
+    SWING,
+    SWING_STATES,
+    SwingModel,
+    SwingState,
+    SwingStep,
+    swing_on,
+    swing_spread,
+    swing_step,
+)
 from meshpoint.kernels.jit import bare, compiled, inlined, record_on
-from meshpoint.kernels.records import (
-    WORD_BYTES,
-    Layout,
-    Over,
-    RecordMemory,
-    Records,
-    Vector,
-    layout_of,
-)
+from meshpoint.kernels.records import Over, Records, Vector, layout_of
 from meshpoint.units import US
 
 BATCHES_KEPT: Final = 4
@@ -82,28 +86,26 @@ LED_RAD_S2: Final = 100.0
 steady acceleration."""
 
 
-class FilterSnapshot:
+State = TypeVar("State")
+Motion = TypeVar("Motion")
+Step = TypeVar("Step")
+
+
+class FilterSnapshot(Generic[State]):
     """A copy of the filter's state, to go back to when late edges arrive."""
 
     time_us: float
     """Of the state."""
-    state: MotionState
-    p: Annotated[Vector, STATES, STATES]
+    state: State
+    p: Annotated[Vector, State, State]
     """Its covariance."""
     noise_scale: float
     """Process noise over that of the model, by the innovations lately."""
 
 
-SNAPSHOT_WORDS: Final = layout_of(FilterSnapshot).itemsize // WORD_BYTES
-
-
-class Filter:
-    """A crossing-time filter; the fields of `FilterSnapshot` come first."""
-
-    time_us: float
-    state: MotionState
-    p: Annotated[Vector, STATES, STATES]
-    noise_scale: float
+class Filter(FilterSnapshot[State], Generic[State, Motion, Step]):
+    """A crossing-time filter by a model: the records of its state, of its motion, and of a step of
+    it. The fields of `FilterSnapshot` come first."""
 
     # Parameters.
     noise_adaptation: float
@@ -114,10 +116,10 @@ class Filter:
     tooth_rad: float
     """Standard deviation of an edge's angle."""
     pressure_sd_pa: float
-    """Standard deviation of the measured pressure."""
+    """Standard deviation of the measured pressure, where one is measured."""
     gate_sd: float
     """An edge is refused if its innovation exceeds this many standard deviations."""
-    model: Model
+    model: Motion
 
     # Results and working memory.
     squares: float
@@ -133,59 +135,23 @@ class Filter:
     """How many snapshots of the ring are valid."""
     next: int
     """Index in the ring for the next snapshot."""
-    step: MotionStep
-    gain: Annotated[Vector, STATES]
+    step: Step
+    gain: Annotated[Vector, State]
     """The last Kalman gain."""
-    ring: Annotated[Records[FilterSnapshot], BATCHES_KEPT]
+    ring: Annotated[Records[FilterSnapshot[State]], BATCHES_KEPT]
     """Snapshots taken before each of the last batches."""
 
-    x: Annotated[Vector, Over("state"), STATES]
-    motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD_BYTES]
+    x: Annotated[Vector, Over("state"), State]
+    motion: Annotated[Vector, Over("model"), Motion]
     nis: Annotated[Vector, Over("squares"), 2]
-    snapshot: Annotated[Vector, Over("time_us"), SNAPSHOT_WORDS]
-    snapshots: Annotated[Vector, Over("ring"), BATCHES_KEPT, SNAPSHOT_WORDS]
+    snapshot: Annotated[Vector, Over("time_us"), FilterSnapshot[State]]
+    snapshots: Annotated[Vector, Over("ring"), BATCHES_KEPT, FilterSnapshot[State]]
 
 
-FILTER: Final = layout_of(Filter)
-
-
-class FilterMemory(RecordMemory):
-    """A filter's memory, with views of the fields that are used often."""
-
-    def __init__(self, layout: Layout = FILTER) -> None:
-        super().__init__(layout)
-        self.part("noise_scale")[0] = 1.0
-
-    def _name_parts(self) -> None:
-        self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
-        self.tooth_rad, self.model = self.part("tooth_rad"), self.part("motion")
-        self.nis = self.part("nis")
-        self.log_variance = self.part("log_variance")
-        self.held = self.part("held")
-
-    def set_sensor(
-        self, edge_time_s: float, tooth_rad: float, pressure_sd_pa: float, gate_sd: float
-    ) -> None:
-        """Sets the standard deviations of edges and pressures, and the gate (`Filter`)."""
-        values = {
-            "edge_time_s": edge_time_s,
-            "tooth_rad": tooth_rad,
-            "pressure_sd_pa": pressure_sd_pa,
-            "gate_sd": gate_sd,
-        }
-        for name, value in values.items():
-            self.part(name)[0] = value
-
-    def forget_past(self) -> None:
-        """Makes all snapshots invalid."""
-        self.held[0] = 0
-
-    def go_back(self) -> None:
-        """Restores the newest valid snapshot. There must be one (`held`)."""
-        following = self.part("next")
-        following[0] = (following[0] - 1) % BATCHES_KEPT
-        self.held[0] -= 1
-        self.part("snapshot")[:] = self.part("snapshots")[following[0]]
+LayshaftFilter = Filter[MotionState, Model, MotionStep]
+SwingFilter = Filter[SwingState, SwingModel, SwingStep]
+FILTER: Final = layout_of(LayshaftFilter)
+SWING_FILTER: Final = layout_of(SwingFilter)
 
 
 class TeethArrays:
@@ -221,11 +187,11 @@ def crossing_filter(
     held to go back to; if none is held, edges not later than the state are skipped. Otherwise
     keeps a snapshot of the state before the batch and returns DONE."""
     f = record_on(memory, FILTER)
-    edge_us, edge_rad = edges[0], edges[1]
+    edge_us = edges[0]
     n, m = edge_us.shape[0], pressure_us.shape[0]
     if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
         return LATE
-    keep(f, SNAPSHOT_WORDS)
+    keep(f)
     i, j, k = input_at(f.time_us, switches[0]), 0, 0
     while k < n or j < m:
         pressure_is_next = j < m and (k == n or pressure_us[j] < edge_us[k])
@@ -239,11 +205,7 @@ def crossing_filter(
             j += 1
         else:
             if not late:
-                innovation = edge_rad[k] - f.state.theta_rad
-                s = take_edge(f, innovation, STATES, DRAG)
-                if teeth.shape[1] > 0 and s > 0.0:
-                    learn(teeth, int(edges[2, k]), innovation, s)
-                    follow(teeth, f.gain, STATES)
+                take_edge(f, edges, k, DRAG, teeth)
             k += 1
         f.state.gain = max(f.state.gain, LEAST_GAIN)
     mirror(f.p, STATES)
@@ -251,24 +213,20 @@ def crossing_filter(
 
 
 @inlined
-def keep(f: Filter, words: int) -> None:
-    """Copies the present state, of this many words, into the ring of snapshots."""
-    for k in range(words):
+def keep(f: Filter[Any, Any, Any]) -> None:
+    """Copies the present state into the ring of snapshots."""
+    for k in range(f.snapshot.shape[0]):
         f.snapshots[f.next, k] = f.snapshot[k]
     f.next = (f.next + 1) % BATCHES_KEPT
     f.held = min(f.held + 1, BATCHES_KEPT)
 
 
 @inlined
-def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> int:
+def move(f: LayshaftFilter, to_us: float, i: int, switches: Vector, teeth: Vector) -> int:
     """State, covariance and tooth derivatives to a time; returns the number of switches passed."""
     t_us, state, model, step = f.time_us, f.state, f.model, f.step
-    switch_us, switch_u = switches[0], switches[1]
     while t_us < to_us:
-        u = int(switch_u[i - 1]) if i > 0 else 0
-        until_us = to_us
-        if i < switch_us.shape[0] and switch_us[i] < to_us:
-            until_us = switch_us[i]
+        u, until_us = valve_after(i, switches, to_us)
         dt = (until_us - t_us) * US
         part = dt
         if dt > SHORT_S:
@@ -276,33 +234,85 @@ def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> in
         transition(state, part, u, model, step)
         spread_over(f.p, part, step, model, state.gain, f.noise_scale)
         if teeth.shape[1] > 0:
-            carry(teeth, step)
+            carry(teeth, step.theta_by, step.omega_by)
+            for c in range(teeth.shape[1]):
+                teeth[PRESSURE, c] *= step.pressure_left
+                teeth[DISTURBANCE, c] *= step.disturbance_left
         if part < dt:
             t_us += part / US
         else:
             t_us = until_us
-            if i < switch_us.shape[0] and switch_us[i] <= until_us:
+            if i < switches.shape[1] and switches[0, i] <= until_us:
                 i += 1
     f.time_us = to_us
     return i
 
 
+@bare
+def swing_filter(
+    memory: Vector, edges: Vector, pressure_us: Vector, pressure_pa: Vector, switches: Vector,  # noqa: ARG001
+    teeth: Vector,
+) -> int:  # fmt: skip
+    """As `crossing_filter`, on a `SwingFilter`. A main shaft has no brake: pressures and switches
+    are not read."""
+    f = record_on(memory, SWING_FILTER)
+    edge_us = edges[0]
+    n = edge_us.shape[0]
+    if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
+        return LATE
+    keep(f)
+    for k in range(n):
+        if edge_us[k] > f.time_us:
+            swing_to(f, edge_us[k], teeth)
+            take_edge(f, edges, k, -1, teeth)
+    mirror(f.p, SWING_STATES)
+    return DONE
+
+
 @inlined
-def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
+def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
+    """As `move`, in one step."""
+    dt, step = (to_us - f.time_us) * US, f.step
+    swing_step(dt, f.model, step)
+    swing_on(f.state, step)
+    swing_spread(f.p, dt, step, f.model, f.noise_scale)
+    if teeth.shape[1] > 0:
+        carry(teeth, step.theta_by, step.omega_by)
+        angle, speed, block = teeth[SWING], teeth[RATE], step.block
+        for c in range(teeth.shape[1]):
+            q, r = angle[c], speed[c]
+            angle[c] = block[0] * q + block[1] * r
+            speed[c] = block[2] * q + block[3] * r
+    f.time_us = to_us
+
+
+@inlined
+def take_pressure(f: LayshaftFilter, pressure_pa: float, teeth: Vector) -> None:
     """One sample of the measured pressure into the filter."""
     r = f.pressure_sd_pa * f.pressure_sd_pa
     innovation = pressure_pa - f.state.pressure_pa
     measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
     for c in range(teeth.shape[1]):
         teeth[ROW, c] = -teeth[PRESSURE, c]
-    follow(teeth, f.gain, STATES)
+    follow(teeth, f.gain)
 
 
 @inlined
-def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
-    """One edge into the filter of this many states; returns the innovation's variance, 0 where the
-    gate refused it. led: row of the steady acceleration that an unseen torque changes, or -1:
-    there the whole covariance is widened instead."""
+def take_edge(f: Filter[Any, Any, Any], edges: Vector, k: int, led: int, teeth: Vector) -> None:
+    """The k-th edge into the filter, and into what teeth are learned by. led: row of the steady
+    acceleration that an unseen torque changes, or -1: there the whole covariance is widened
+    instead."""
+    innovation = edges[1, k] - f.state.theta_rad
+    s = take_angle(f, innovation, led)
+    if teeth.shape[1] > 0 and s > 0.0:
+        learn(teeth, int(edges[2, k]), innovation, s)
+        follow(teeth, f.gain)
+
+
+@inlined
+def take_angle(f: Filter[Any, Any, Any], innovation: float, led: int) -> float:
+    """An edge's angle into the filter; returns the innovation's variance, 0 where the gate refused
+    it."""
     p, omega = f.p, f.state.omega_rad_s
     sigma = omega * f.edge_time_s
     r = sigma * sigma + f.tooth_rad * f.tooth_rad
@@ -316,7 +326,7 @@ def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
         if f.gated_in_a_row < (MOST_IN_A_ROW if led >= 0 else MOST_SWINGING):
             return 0.0
         # This many refused in a row: the state is wrong, so its covariance is widened.
-        widen(f, innovation, states, led)
+        widen(f, innovation, led)
     else:
         f.squares += square
         f.count += 1.0
@@ -326,7 +336,7 @@ def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
 
 
 @inlined
-def widen(f: Filter, innovation: float, states: int, led: int) -> None:
+def widen(f: Filter[Any, Any, Any], innovation: float, led: int) -> None:
     """Widens the covariance of a state that has been found wrong."""
     p, omega = f.p, f.state.omega_rad_s
     p[THETA, THETA] += innovation * innovation
@@ -334,6 +344,7 @@ def widen(f: Filter, innovation: float, states: int, led: int) -> None:
         p[OMEGA, OMEGA] += (LED_SHARE * omega) ** 2
         p[led, led] += LED_RAD_S2 * LED_RAD_S2
         return
+    states = f.gain.shape[0]
     for j in range(states):
         for k in range(j, states):
             p[j, k] *= WIDER
@@ -356,28 +367,27 @@ def learn(teeth: Vector, place: int, innovation: float, s: float) -> None:
 
 
 @inlined
-def follow(teeth: Vector, gain: Vector, states: int) -> None:
+def follow(teeth: Vector, gain: Vector) -> None:
     """The derivatives by the tooth errors after an update."""
-    for state in range(states):
+    for state in range(gain.shape[0]):
         for c in range(teeth.shape[1]):
             teeth[state, c] += gain[state] * teeth[ROW, c]
 
 
 @inlined
-def carry(teeth: Vector, step: MotionStep) -> None:
-    """The derivatives by the tooth errors after a step; row by row, ROW being free."""
+def carry(teeth: Vector, theta_by: Vector, omega_by: Vector) -> None:
+    """The derivatives of angle and speed by the tooth errors after a step; row by row, ROW being
+    free."""
     size, theta, omega = teeth.shape[1], teeth[THETA], teeth[ROW]
     for c in range(size):
         omega[c] = 0.0
-    for k in range(1, STATES):
-        state, theta_by, omega_by = teeth[k], step.theta_by[k], step.omega_by[k]
+    for k in range(1, theta_by.shape[0]):
+        state, by_theta, by_omega = teeth[k], theta_by[k], omega_by[k]
         for c in range(size):
-            theta[c] += theta_by * state[c]
-            omega[c] += omega_by * state[c]
+            theta[c] += by_theta * state[c]
+            omega[c] += by_omega * state[c]
     for c in range(size):
         teeth[OMEGA, c] = omega[c]
-        teeth[2, c] *= step.pressure_left
-        teeth[3, c] *= step.disturbance_left
 
 
 @compiled

@@ -26,6 +26,7 @@ from meshpoint.controller.estimate.crossing_filter import (
     LAYSHAFT_FILTER,
     NO_PRESSURES,
     FilterKind,
+    FilterRun,
     Pressures,
 )
 from meshpoint.controller.estimate.crossing_kernels import TeethArrays, inverse_of_positive
@@ -149,24 +150,19 @@ def compare(
     return PatternMatch(best, margin, (float(j[best]) - least_free) / size / scale)
 
 
-class TeethLearner:
+class TeethLearner(FilterRun):
     """The normal equations of one wheel over one window of free motion."""
 
     def __init__(
         self, tuning: CrossingFilterTuning, edges: int, kind: FilterKind = LAYSHAFT_FILTER
     ) -> None:
-        self._run = kind.run
-        self._memory, self._teeth = kind.memory(), TeethArrays(edges)
-        self._memory.set_sensor(tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED)
-        self._model: RecordMemory | None = None
+        super().__init__(tuning, kind, 1e-9, NEVER_GATED)
+        self._teeth = TeethArrays(edges)
         self.running = False
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """A window begins with the shaft in this state."""
-        memory = self._memory
-        memory.time_us[0] = time_us
-        memory.x[:], memory.p[:], memory.nis[:] = x, p, 0.0
-        memory.log_variance[0] = 0.0
+        super().begin(time_us, x, p)
         self._teeth.flat[:] = 0.0
         self.running = True
 
@@ -180,32 +176,25 @@ class TeethLearner:
     ) -> None:
         """Adds new edges to the window, with their nominal angles. place: which of the wheel's
         edges each is."""
-        memory = self._memory
-        if model is not self._model:
-            self._model = model
-            memory.model[:] = model.flat
-        memory.forget_past()
-        edges = np.empty((3, place.size))
-        edges[0], edges[1], edges[2] = batch.time_us, batch.theta_rad, place
-        self._run(memory.flat, edges, *pressures, switches, self._teeth.flat)
-
-    def set_edge_time(self, edge_time_s: float) -> None:
-        """Standard deviation of an edge's time from now on."""
-        self._memory.part("edge_time_s")[0] = edge_time_s
+        edges = np.array((batch.time_us, batch.theta_rad, place), dtype=np.float64)
+        self._add(edges, pressures, switches, model)
 
     def take_all(self, edges: Vector, place: Integers, model: RecordMemory) -> None:
         """Edges (2, n), times and nominal angles, of a shaft on which nothing else is measured."""
-        self._model = model
-        memory = self._memory
-        memory.model[:] = model.flat
-        memory.forget_past()
         both = np.concatenate((edges, place[np.newaxis].astype(np.float64)))
-        self._run(memory.flat, both, *NO_PRESSURES, NO_SWITCHES, self._teeth.flat)
+        self._add(both, NO_PRESSURES, NO_SWITCHES, model)
+
+    def _add(
+        self, edges: Vector, pressures: Pressures, switches: Vector, model: RecordMemory
+    ) -> None:
+        self._move_by(model)
+        self._memory.forget_past()
+        self._run(self._memory.flat, edges, *pressures, switches, self._teeth.flat)
 
     @property
     def edges(self) -> float:
         """How many edges the window has so far."""
-        return float(self._memory.nis[1]) if self.running else 0.0
+        return float(self.nis[1]) if self.running else 0.0
 
     def end(self) -> PatternEquations | None:
         """The window ends; its equations, None where it was too short."""
@@ -213,26 +202,13 @@ class TeethLearner:
         self.running = False
         return window if window is not None and window.edges >= LEAST_EDGES else None
 
-    @property
-    def log_variance(self) -> float:
-        """Sum of the logarithms of the innovations' variances."""
-        return float(self._memory.log_variance[0])
-
     def so_far(self) -> PatternEquations:
         """The window's equations up to now."""
-        squares, count = self._memory.nis.tolist()
+        squares, count = self.nis.tolist()
         upper = np.triu(self._teeth.normal)
         return PatternEquations(
             upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count
         )
-
-
-class Found(NamedTuple):
-    """A wheel whose remembered tooth pattern was found again."""
-
-    teeth: int
-    """Remembered tooth number less present one."""
-    margin: float
 
 
 class WheelTeeth:
@@ -259,7 +235,7 @@ class WheelTeeth:
         self._looked_at = 0.0
         self._unmatched = self._inconsistent = self._unreported = 0
         self.memory: ToothPattern | None = None
-        self.found: Found | None = None
+        self.found: PatternMatch | None = None
         """Set when the memory has been recognised; the reader resets it to None."""
         self.edges_seen = 0
         """How many edges the present errors were learned from."""
@@ -379,7 +355,7 @@ class WheelTeeth:
         self._normal += memory.weight * np.eye(self._edges)
         self._right += memory.weight * turned(memory.error_rad, verdict.teeth)
         self.edges_seen += memory.edges
-        self.found = Found(verdict.teeth, verdict.margin)
+        self.found = verdict
         self.memory = None
         self._solve()
 

@@ -274,6 +274,15 @@ def input_at(t_us: float, switch_us: Vector) -> int:
     return i
 
 
+@inlined
+def valve_after(i: int, switches: Vector, to_us: float) -> tuple[int, float]:
+    """The valve's state after this many switches, and until when it holds, at most `to_us`."""
+    until_us = to_us
+    if i < switches.shape[1] and switches[0, i] < to_us:
+        until_us = switches[0, i]
+    return int(switches[1, i - 1]) if i > 0 else 0, until_us
+
+
 @compiled
 def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector) -> None:
     """Moves a state from `t_us` to `to_us` through every brake switch and segment, in place.
@@ -282,13 +291,9 @@ def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector
     each on, 0 before the first; model: a `Model`."""
     state, motion = record_on(x, STATE), record_on(model, MODEL)
     step = new_record(STEP)
-    switch_us, switch_u = switches[0], switches[1]
-    i = input_at(t_us, switch_us)
+    i = input_at(t_us, switches[0])
     while t_us < to_us:
-        u = int(switch_u[i - 1]) if i > 0 else 0
-        until_us = to_us
-        if i < switch_us.shape[0] and switch_us[i] < to_us:
-            until_us = switch_us[i]
+        u, until_us = valve_after(i, switches, to_us)
         dt = (until_us - t_us) * US
         part = longest_in_segment(motion, u, state.pressure_pa, dt)
         transition(state, part, u, motion, step)
@@ -299,7 +304,7 @@ def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector
             i += 1
     if to_us < t_us:
         # A moment ago: nothing switched since, to the accuracy of a step back.
-        u = int(switch_u[i - 1]) if i > 0 else 0
+        u, _ = valve_after(i, switches, to_us)
         transition(state, (to_us - t_us) * US, u, motion, step)
 
 
@@ -312,13 +317,9 @@ def forecast(
     # The same kind of array as a filter's own, so that what works on it is compiled once.
     spread = record_on(p, COVARIANCE).p
     step = new_record(STEP)
-    switch_us, switch_u = switches[0], switches[1]
-    i = input_at(t_us, switch_us)
+    i = input_at(t_us, switches[0])
     while t_us < to_us:
-        u = int(switch_u[i - 1]) if i > 0 else 0
-        until_us = to_us
-        if i < switch_us.shape[0] and switch_us[i] < to_us:
-            until_us = switch_us[i]
+        u, until_us = valve_after(i, switches, to_us)
         dt = (until_us - t_us) * US
         part = min(longest_in_segment(motion, u, state.pressure_pa, dt), LONGEST_S)
         transition(state, part, u, motion, step)

@@ -14,7 +14,7 @@ record but a plain array, one row a quantity.
 
 from __future__ import annotations
 
-from typing import Any, Final, Protocol, TypeVar, cast, get_args, get_type_hints
+from typing import Any, Final, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,15 +42,19 @@ class Over:
         self.first = first
 
 
-def layout_of(record: type) -> Layout:
+def layout_of(record: Any) -> Layout:
     """The dtype of a record's class: float, int, another record's class, or `Annotated` by the
-    sizes of an array of these; with `Over` a second name for what another field holds."""
+    sizes of an array of these; with `Over` a second name for what another field holds. A size may
+    be a record's class: as many numbers as that has. A class may be generic in those of its records
+    (`Filter[State, Model]`)."""
     names: list[str] = []
     formats: list[Any] = []
     offsets: list[int] = []
     size = 0
-    for name, hint in get_type_hints(record, include_extras=True).items():
-        kind, shape, over = _parted(hint)
+    of = get_origin(record) or record
+    given = dict(zip(getattr(of, "__parameters__", ()), get_args(record), strict=True))
+    for name, hint in get_type_hints(of, include_extras=True).items():
+        kind, shape, over = _parted(hint, given)
         field = np.dtype((kind, shape)) if shape else np.dtype(kind)
         names.append(name)
         formats.append(field)
@@ -62,16 +66,28 @@ def layout_of(record: type) -> Layout:
     return cast(Layout, layout)
 
 
-def _parted(hint: Any) -> tuple[Any, tuple[int, ...], Over | None]:
-    """A field's element, its sizes, and what it lies over."""
+def words_of(record: Any) -> int:
+    """How many numbers a record holds."""
+    return layout_of(record).itemsize // WORD_BYTES
+
+
+def _parted(hint: Any, given: dict[Any, Any]) -> tuple[Any, tuple[int, ...], Over | None]:
+    """A field's element, its sizes, and what it lies over; given: the records that stand for a
+    generic class's parameters."""
+
+    def meant(part: Any) -> Any:
+        inner = getattr(part, "__parameters__", ())
+        return part[tuple(given[one] for one in inner)] if inner else given.get(part, part)
+
     of, *rest = get_args(hint) if getattr(hint, "__metadata__", None) else (hint,)
-    over = next((part for part in rest if isinstance(part, Over)), None)
-    shape = tuple(part for part in rest if isinstance(part, int))
+    of, over = meant(of), next((part for part in rest if isinstance(part, Over)), None)
+    sizes = [meant(part) for part in rest if not isinstance(part, Over)]
+    shape = tuple(part if isinstance(part, int) else words_of(part) for part in sizes)
     if of in (Vector, Integers):
         return np.float64 if of == Vector else np.int64, shape, over
     if of in (float, int):
         return np.float64 if of is float else np.int64, shape, over
-    return layout_of(get_args(of)[0] if get_args(of) else of), shape, over
+    return layout_of(get_args(of)[0] if get_origin(of) is Records else of), shape, over
 
 
 def filled(layout: Layout, **values: float) -> Vector:

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshpoint.controller.estimate.reference import PhaseReferences
 from meshpoint.controller.estimate.reference_recovery import ReferenceRecovery, SavedReferences
-from meshpoint.controller.estimate.teeth import Found, ToothPattern, WheelTeeth, turned
+from meshpoint.controller.estimate.teeth import PatternMatch, ToothPattern, WheelTeeth, turned
 from meshpoint.controller.measure.wheel_edges import Renumbered
 from meshpoint.controller.settings.filters import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
@@ -114,7 +114,7 @@ class Bench:
             present = turned(self.patterns[k], self.at[k] % size)
             if memory is not None:
                 found = [j for j in range(size) if (turned(memory.error_rad, j) == present).all()]
-                teeth.found, teeth.memory = Found(found[0], 99.0), None
+                teeth.found, teeth.memory = PatternMatch(found[0], 99.0, 1.0), None
             teeth.error_rad, teeth.learned = present, True
         self.recovery.measure(self.events, self.renumbered)
 
