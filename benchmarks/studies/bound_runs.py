@@ -35,7 +35,6 @@ from meshpoint.controller.estimate.figures import Estimate
 from meshpoint.controller.estimate.layshaft_tracker import (
     CrossingTracker,
     LayshaftModels,
-    LayshaftTracker,
 )
 from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.measure.gearbox_view import PressureSamples
@@ -194,7 +193,7 @@ class _Bench:
             known.gain, known.drag_nm = Estimate(1.0, 0.0), Estimate(0.0, 0.0)
             known.touch_and_lag = uncorrelated((0.0, 1.0), NO_LAG)
         self._learns = not parameters_known
-        self.tracker: LayshaftTracker
+        self.tracker: BaselineTracker | CrossingTracker
         if estimator is Estimator.CROSSING:
             self.tracker = CrossingTracker(self._tuning, self.brake, known, scene.teeth)
         else:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
-from typing import Any
+from functools import cache, partial
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,13 +15,10 @@ from meshpoint.controller.estimate.teeth import ToothPattern
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.controller.settings.learned import (
     CALIBRATION_FORMAT,
-    BrakeRecord,
     Calibration,
     End,
-    NoiseRecord,
     Provenance,
     ReferenceRecords,
-    SwingRecords,
     WheelRecord,
     WheelRecords,
 )
@@ -54,74 +51,11 @@ def restore(calibration: Calibration, observer: Observer, sleeves: Sleeves) -> N
     )
 
 
-class Learned:
-    """What a controller knows now, by the groups of a calibration file: each is worked out where it
-    is asked for, and once. What this run cannot learn stays as it was read."""
-
-    def __init__(
-        self, header: RunHeader, observer: Observer, context: ShiftContext, shifts: int
-    ) -> None:
-        self._header, self._observer, self._context = header, observer, context
-        self._shifts = shifts
-        self._learns = observer.recovery is not None
-        self._before = header.calibration
-
-    @property
-    def provenance(self) -> Provenance:
-        """Whose figures these are; without the time of their writing."""
-        version, sheet = self._header.version, self._header.sheet
-        earlier = 0 if self._before is None else self._before.provenance.shifts
-        return Provenance(version, sheet.name, sheet.sha256, "", earlier + self._shifts)
-
-    @cached_property
-    def _saved(self) -> SavedReferences | None:
-        recovery = self._observer.recovery
-        return None if recovery is None else recovery.saved()
-
-    @property
-    def wheels(self) -> WheelRecords:
-        """The teeth."""
-        if self._saved is None:
-            return WheelRecords() if self._before is None else self._before.wheels
-        return WheelRecords(_record(self._saved.layshaft), _record(self._saved.main))
-
-    @property
-    def references(self) -> ReferenceRecords:
-        """The phase references."""
-        if self._saved is None:
-            return ReferenceRecords() if self._before is None else self._before.references
-        return _references(self._saved, self._header.sheet.dog.pitch_rad)
-
-    @cached_property
-    def brake(self) -> BrakeRecord | None:
-        """The layshaft brake."""
-        if self._learns:
-            return self._observer.brake.record()
-        return None if self._before is None else self._before.brake
-
-    @cached_property
-    def noise(self) -> NoiseRecord | None:
-        """Scatter and disturbance."""
-        if self._learns:
-            return self._observer.noise()
-        return None if self._before is None else self._before.noise
-
-    @cached_property
-    def swings(self) -> SwingRecords:
-        """The driveline's swing."""
-        if self._learns:
-            return self._observer.swings()
-        return SwingRecords() if self._before is None else self._before.swings
-
-    @cached_property
-    def sleeves(self) -> ByName:
-        """The delays of the gears, each by its name."""
-        return ByName(lambda name: self._context.sleeves.record(MainGear[name.upper()]))
-
-    @cached_property
-    def sleeve_laws(self) -> ByName:
-        """The laws of the sleeves, each by its name."""
-        return ByName(lambda name: self._context.sleeves.law(Sleeve[name.upper()]))
+OF_SHAFTS: Final = ("wheels", "references", "brake", "noise", "swings")
+"""Groups of a calibration that the baseline estimators do not learn."""
+NOTHING: Final = Calibration(
+    format_=CALIBRATION_FORMAT, provenance=Provenance("", "", "", "", 0), end=End(complete=True)
+)
 
 
 class ByName:
@@ -136,16 +70,38 @@ class ByName:
         return value
 
 
-def collect(learned: Learned, sleeves: Sleeves, written: str) -> Calibration:
+def learned_by(header: RunHeader, observer: Observer, context: ShiftContext, shifts: int) -> ByName:
+    """What a controller knows now, by the groups of a calibration file, without the time of its
+    writing. What this run cannot learn stays as it was read."""
+    sheet, before, recovery = header.sheet, header.calibration or NOTHING, observer.recovery
+    shifts += before.provenance.shifts
+    groups: dict[str, Callable[[], Any]] = {
+        name: partial(getattr, before, name) for name in OF_SHAFTS
+    }
+    if recovery is not None:
+        saved = cache(recovery.saved)
+        groups |= {
+            "wheels": lambda: WheelRecords(_record(saved().layshaft), _record(saved().main)),
+            "references": lambda: _references(saved(), sheet.dog.pitch_rad),
+            "brake": observer.brake.record,
+            "noise": observer.noise,
+            "swings": observer.swings,
+        }
+    sleeves = context.sleeves
+    groups |= {
+        "provenance": lambda: Provenance(header.version, sheet.name, sheet.sha256, "", shifts),
+        "sleeves": lambda: ByName(lambda name: sleeves.record(MainGear[name.upper()])),
+        "sleeve_laws": lambda: ByName(lambda name: sleeves.law(Sleeve[name.upper()])),
+    }
+    return ByName(lambda name: groups[name]())
+
+
+def collect(learned: ByName, sleeves: Sleeves, written: str) -> Calibration:
     """All of it, with that of the sleeves, at a time that the caller says in `written`."""
     return Calibration(
         format_=CALIBRATION_FORMAT,
         provenance=replace(learned.provenance, written=written),
-        wheels=learned.wheels,
-        references=learned.references,
-        brake=learned.brake,
-        noise=learned.noise,
-        swings=learned.swings,
+        **{name: getattr(learned, name) for name in OF_SHAFTS},
         sleeves=sleeves.records(),
         sleeve_laws=sleeves.laws(),
         end=End(complete=True),

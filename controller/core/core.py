@@ -17,7 +17,7 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.core.carry_over import Learned, collect, restore
+from meshpoint.controller.core.carry_over import ByName, collect, learned_by, restore
 from meshpoint.controller.core.commands import GuardedCommands
 from meshpoint.controller.core.reporter import Reporter, decision_line, outcome_line
 from meshpoint.controller.estimate.observer import Observer
@@ -149,9 +149,9 @@ class ControllerCore:
         return collect(self.learned, self._sequence.sleeves, written)
 
     @property
-    def learned(self) -> Learned:
+    def learned(self) -> ByName:
         """What has been learned by now; each figure is worked out where it is asked for."""
-        return Learned(self.header, self._observer, self._sequence, self.shifts)
+        return learned_by(self.header, self._observer, self._sequence, self.shifts)
 
     @property
     def blocked_row(self) -> int | None:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
-from meshpoint.controller.estimate.observer import Observer
+from meshpoint.controller.estimate.observer import LayshaftTracker, Observer
 from meshpoint.controller.models.layshaft import LayshaftState
 from meshpoint.controller.models.swing import ShaftState
 from meshpoint.controller.plan.strategist import Plan

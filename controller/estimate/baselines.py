@@ -37,8 +37,8 @@ START_SD_PRESSURE_PA = 2e4
 but not long enough for the pressure to be exactly zero."""
 
 
-class _CruiseMemory(RecordMemory):
-    """State and parameters of the filter."""
+class _Memory(RecordMemory):
+    """State and parameters of a filter; the window speed keeps its state in one too."""
 
     def _name_parts(self) -> None:
         self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
@@ -50,7 +50,7 @@ class CruiseTracker:
     def __init__(self, tuning: CruiseFilterTuning, pitch_rad: float) -> None:
         self._tuning = tuning
         self._pitch_rad = pitch_rad
-        self._filter = _CruiseMemory(CRUISE_FILTER)
+        self._filter = _Memory(CRUISE_FILTER)
         self._filter.part("acceleration_rad_s2")[0] = tuning.acceleration_rad_s2
         self._filter.part("edge_time_s")[0] = tuning.edge_time_us * US
         self._seed = WindowSpeed()
@@ -106,14 +106,6 @@ class CruiseTracker:
         )
 
 
-class _ThesisMemory(RecordMemory):
-    """State and parameters of the thesis's filter; the window speed keeps its state there too."""
-
-    def _name_parts(self) -> None:
-        self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
-        self.model = self.part("model")
-
-
 class BaselineTracker:
     """Angle, speed and brake pressure of the layshaft at any time near now."""
 
@@ -126,7 +118,7 @@ class BaselineTracker:
     ) -> None:
         self._estimator = estimator
         tuning = settings.thesis_filter
-        self._filter = memory = _ThesisMemory(THESIS_FILTER)
+        self._filter = memory = _Memory(THESIS_FILTER)
         memory.part("w")[:] = tuning.w_angle_rad_s, tuning.w_speed_rad_s2, tuning.w_pressure_pa_s
         memory.part("r_rad2")[0] = tuning.r_angle_rad**2
         self._brake = brake
@@ -157,7 +149,7 @@ class BaselineTracker:
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step is known."""
         self._model, self._inertia_kgm2 = models.motion, models.inertia_kgm2
-        self._filter.model[:] = models.thesis
+        self._filter.part("model")[:] = models.thesis
 
     def set_free(
         self,
@@ -253,7 +245,7 @@ class BaselineTracker:
         if newest is None or self._window.omega_rad_s is None or newest[0] <= before_us:
             return
         x = np.array([0.0, 0.0, memory.x[2]])
-        propagate(x, before_us, float(newest[0]), self._brake.arrays(), memory.model)
+        propagate(x, before_us, float(newest[0]), self._brake.arrays(), memory.part("model"))
         memory.time_us[0] = newest[0]
         memory.x[:] = newest[1], self._window.omega_rad_s, x[2]
 

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.crossing_filter import Pressures
-from meshpoint.controller.estimate.figures import Estimate
+from meshpoint.controller.estimate.figures import Estimate, in_pairs
 from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.models.layshaft import MotionModel
 from meshpoint.controller.models.layshaft_kernels import (
@@ -60,6 +60,7 @@ FILLING: Final = (0.0, 0.3, 0.6, 0.85, 1.0)
 """Knots in shares of the supply pressure. An empty chamber does not empty, a full one not fill: the
 rates at 0 and at 1 are zero."""
 RATES: Final = len(EMPTYING) - 1
+HALVES: Final = slice(0, RATES), slice(RATES, 2 * RATES)
 OFF_DELAY, ON_DELAY = 2 * RATES, 2 * RATES + 1
 PARAMETERS: Final = 2 * RATES + 2
 """Logarithms of the emptying rates at knots 1.., of the filling rates at knots 0.., two delays."""
@@ -186,7 +187,7 @@ class BrakeModel:
         self._mean: Vector = np.zeros(PARAMETERS)
         self._mean[[OFF_DELAY, ON_DELAY]] = delay
         self._covariance = np.diag([OWN_SD**2] * 2 * RATES + [delay_sd_s**2] * 2)
-        for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
+        for half in HALVES:
             self._covariance[half, half] += sheet.brake.time_constant_tolerance**2
         self.shifts = 0
         """From how many shifts the law was learned."""
@@ -230,37 +231,23 @@ class BrakeModel:
         mean, sd = self._mean, np.sqrt(np.diag(self._covariance))
         factors = np.exp(mean[: 2 * RATES])
         return BrakeRecord(
-            shifts=self.shifts,
-            gain=self.gain.value,
-            gain_sd=self.gain.sd,
-            drag_nm=self.drag_nm.value,
-            drag_sd_nm=self.drag_nm.sd,
-            touch_pa=self.touch_pa.value,
-            touch_sd_pa=self.touch_pa.sd,
-            sensor_lag_s=self.sensor_lag_s.value,
-            sensor_lag_sd_s=self.sensor_lag_s.sd,
-            emptying=tuple(factors[:RATES].tolist()),
-            emptying_sd=tuple(sd[:RATES].tolist()),
-            filling=tuple(factors[RATES:].tolist()),
-            filling_sd=tuple(sd[RATES : 2 * RATES].tolist()),
-            off_delay_s=float(mean[OFF_DELAY]),
-            off_delay_sd_s=float(sd[OFF_DELAY]),
-            on_delay_s=float(mean[ON_DELAY]),
-            on_delay_sd_s=float(sd[ON_DELAY]),
+            self.shifts,
+            *in_pairs(self.gain, self.drag_nm, self.touch_pa, self.sensor_lag_s),
+            *(tuple(of[half].tolist()) for half in HALVES for of in (factors, sd)),
+            *(float(of[delay]) for delay in (OFF_DELAY, ON_DELAY) for of in (mean, sd)),
         )
 
     def restore(self, record: BrakeRecord) -> None:
         """Starts from a record; correlations between its errors are not stored."""
         self.shifts = record.shifts
-        self.gain = Estimate(record.gain, record.gain_sd)
-        self.drag_nm = Estimate(record.drag_nm, record.drag_sd_nm)
-        self.touch_and_lag = uncorrelated(
-            (record.touch_pa, record.touch_sd_pa), (record.sensor_lag_s, record.sensor_lag_sd_s)
-        )
+        gain, drag_nm, touch, lag, *delays = record.figures
+        self.gain, self.drag_nm = Estimate(*gain), Estimate(*drag_nm)
+        self.touch_and_lag = uncorrelated(touch, lag)
+        delays_s, delays_sd_s = zip(*delays, strict=True)
         rates = np.log([*record.emptying, *record.filling])
-        self._mean = np.array([*rates, record.off_delay_s, record.on_delay_s])
+        self._mean = np.array([*rates, *delays_s])
         sd = [*record.emptying_sd, *record.filling_sd]
-        delays_sd = np.maximum((record.off_delay_sd_s, record.on_delay_sd_s), LEAST_SD_S)
+        delays_sd = np.maximum(delays_sd_s, LEAST_SD_S)
         self._covariance = np.diag([*np.maximum(sd, LEAST_SD), *delays_sd]) ** 2
 
     def varied(self, normal: Vector) -> BrakeModel:

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
-from meshpoint.controller.estimate.figures import Figure, Search, prior
+from meshpoint.controller.estimate.figures import Figure, Search, in_pairs, prior
 from meshpoint.controller.estimate.lash import LashFigures
 from meshpoint.controller.models.swing import RATE, STEADY, SWING, SwingMotion, SwingRates
 from meshpoint.controller.settings.filters import CrossingFilterTuning
@@ -74,21 +74,14 @@ class DrivelineSwing:
         shift it was learned from."""
         if self.shifts == 0:
             return None
-        natural, damping, speed, noise, white, hill = self._figures
-        return SwingRecord(
-            self.shifts,
-            *(natural.value, natural.sd, damping.value, damping.sd, speed.value, speed.sd),
-            *(noise.value, noise.sd, white.value, white.sd, hill.value, hill.sd),
-            has_lash,
-            *(lash.half.value, lash.half.sd),
-        )
+        return SwingRecord(self.shifts, *in_pairs(*self._figures), has_lash, *in_pairs(lash.half))
 
     def restore(self, record: SwingRecord) -> None:
         """Starts from a record."""
         self.shifts = record.shifts
+        swings = record.figures[: len(self._figures)]
         self._figures = [
-            one.restored(value, sd)
-            for one, (value, sd) in zip(self._figures, record.figures, strict=True)
+            one.restored(*kept) for one, kept in zip(self._figures, swings, strict=True)
         ]
         self.motion = self._doubting()
 

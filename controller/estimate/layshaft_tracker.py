@@ -11,9 +11,10 @@ is needed before the next request: it is learned in parts, one a step, while a g
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import ClassVar, Final, NamedTuple, Protocol
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -63,45 +64,6 @@ class LayshaftModels(NamedTuple):
     thesis: Vector
     """A `kernels.Linear`: the thesis's linear model with the data sheet's values."""
     inertia_kgm2: float
-
-
-class LayshaftTracker(Protocol):
-    """Angle, speed and brake pressure of the layshaft at any time near now."""
-
-    @property
-    def free(self) -> bool:
-        """Whether the model holds: clutch open, main box in neutral, and a speed to begin with."""
-
-    @property
-    def model(self) -> MotionModel:
-        """The model that holds while free. RuntimeError before it was set."""
-
-    def set_models(self, models: LayshaftModels) -> None:
-        """Takes new models, after a change of the splitter or of the brake's law."""
-
-    def set_free(
-        self, free: bool, time_us: float, events: list[str], is_shifting: bool = True
-    ) -> None:
-        """The free model begins or ceases to apply; lines on what was learned are added to
-        `events`. Out of a shift (is_shifting) somebody else may turn the layshaft."""
-
-    def restart(self) -> None:
-        """Tooth numbers were lost: starts anew."""
-
-    def lose_speed(self) -> None:
-        """The speed is lost, by missing edges or by a synchroniser; teeth keep their numbers."""
-
-    def edges(self, batch: EdgeBatch, pressures: PressureSamples) -> None:
-        """Takes new edges and measured pressures."""
-
-    def at(self, time_us: float) -> LayshaftState | None:
-        """The state at a time; None without a speed, or without an edge for 60 ms."""
-
-    def drag_nm(self, omega_rad_s: float) -> float:
-        """Torque that brakes the free layshaft at a speed, the brake's left out (Nm, positive)."""
-
-    def latest(self) -> LayshaftState:
-        """The state at the newest edge; where a prediction starts. Valid only while `free`."""
 
 
 class Part(Enum):
@@ -202,15 +164,19 @@ class CrossingTracker(WheelTracker[LearningTask]):
         """The torques that the model leaves out, as learned."""
         return Disturbance(self.noise[TORQUE].value, self.noise[MEMORY].value)
 
-    def take_noise(self, shifts: int, *known: tuple[float, float]) -> None:
-        """Sets what earlier runs learned of `noise`: value and standard deviation of each."""
+    def take_noise(
+        self,
+        shifts: int,
+        noise: Sequence[tuple[float, float]],
+        friction: tuple[float, float],
+    ) -> None:
+        """Sets what earlier runs learned of `noise` and `friction`, the latter unless it is 0:
+        value and standard deviation of each."""
         self.noise_shifts = shifts
-        self.noise = [one.restored(*given) for one, given in zip(self.noise, known, strict=True)]
+        self.noise = [one.restored(*given) for one, given in zip(self.noise, noise, strict=True)]
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)
-
-    def take_friction(self, value_nms: float, sd: float) -> None:
-        """Sets the viscous friction as earlier runs learned it; sd: of its logarithm."""
-        self.friction = self.friction.restored(value_nms, sd)
+        if friction[0] > 0.0:
+            self.friction = self.friction.restored(*friction)
 
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step or the brake's law is new."""

@@ -284,7 +284,7 @@ class MainTracker(WheelTracker[SwingLesson]):
     def restore(self, step: Range, record: SwingRecord) -> None:
         """Starts from such a record."""
         self._swings[step].restore(record)
-        self._lashes[step].restore(record.half_lash_rad, record.half_lash_sd)
+        self._lashes[step].restore(*record.figures[-1])
         self._rivals[step].restore(record.has_lash)
 
     def lose_speed(self) -> None:

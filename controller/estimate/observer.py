@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from meshpoint.controller.estimate.baselines import BaselineTracker, CruiseTracker
 from meshpoint.controller.estimate.brake_model import BrakeModel
-from meshpoint.controller.estimate.layshaft_tracker import (
-    CrossingTracker,
-    LayshaftModels,
-    LayshaftTracker,
-)
+from meshpoint.controller.estimate.figures import in_pairs
+from meshpoint.controller.estimate.layshaft_tracker import CrossingTracker, LayshaftModels
 from meshpoint.controller.estimate.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimate.main_tracker import DrivelineSpec, MainTracker
 from meshpoint.controller.estimate.reference import MeshChange, PhaseReferences
@@ -47,6 +44,9 @@ from meshpoint.gearbox.kinematics import are_finite
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
+
+LayshaftTracker = BaselineTracker | CrossingTracker
+"""Angle, speed and brake pressure of the layshaft at any time near now."""
 
 
 class Observer:
@@ -122,26 +122,17 @@ class Observer:
             return None
         layshaft, main = self._learners
         edge, torque, memory = layshaft.noise
-        own, friction = main.edge_time, layshaft.friction
-        return NoiseRecord(
-            layshaft.noise_shifts, edge.value, edge.sd, own.value, own.sd, torque.value,
-            torque.sd, memory.value, memory.sd, friction.value, friction.sd,
-        )  # fmt: skip
+        known = in_pairs(edge, main.edge_time, torque, memory, layshaft.friction)
+        return NoiseRecord(layshaft.noise_shifts, *known)
 
     def take_noise(self, record: NoiseRecord) -> None:
         """Sets scatter and disturbance as learned in earlier runs."""
         if self._learners is None:
             return
         layshaft, main = self._learners
-        layshaft.take_noise(
-            record.shifts,
-            (record.layshaft_edge_s, record.layshaft_edge_sd),
-            (record.torque_nm, record.torque_sd),
-            (record.memory_s, record.memory_sd),
-        )
-        if record.friction_nms > 0.0:
-            layshaft.take_friction(record.friction_nms, record.friction_sd)
-        main.take_edge_time(record.main_edge_s, record.main_edge_sd)
+        edge, own, torque, memory, friction = record.figures
+        layshaft.take_noise(record.shifts, (edge, torque, memory), friction)
+        main.take_edge_time(*own)
         self._model_layshaft()
 
     def swings(self) -> SwingRecords:

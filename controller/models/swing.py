@@ -27,7 +27,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.models.backlash import LashTrajectory
-from meshpoint.controller.models.layshaft_kernels import copy_on, measure
+from meshpoint.controller.models.layshaft_kernels import copy_on, measure, mirror
 from meshpoint.kernels.jit import compiled, inlined, new_record, record_on
 from meshpoint.kernels.records import WORD_BYTES, Over, RecordMemory, Vector, layout_of
 from meshpoint.units import US
@@ -129,9 +129,7 @@ def swing_spread(
     """Covariance prediction P = F P F' + Q, in place; p (5, 5), its upper half; noise_scale: what
     the noise of the shaft's acceleration is multiplied by."""
     work, block = step.work, step.block
-    for j in range(SWING_STATES):
-        for k in range(j):
-            p[j, k] = p[k, j]
+    mirror(p, SWING_STATES)
     # F P, row by row.
     for k in range(SWING_STATES):
         theta, omega = 0.0, 0.0
@@ -192,9 +190,7 @@ def swing_ahead(x: Vector, p: Vector, dt: float, model: Vector) -> None:
         swing_on(state, step)
         return
     swing_through(state, p, dt, motion, step)
-    for j in range(1, SWING_STATES):
-        for k in range(j):
-            p[j, k] = p[k, j]
+    mirror(p, SWING_STATES)
 
 
 @inlined

@@ -97,8 +97,18 @@ class ReferenceRecords:
         return {gear: offset for gear, offset in given.items() if offset is not None}
 
 
+class OfFigures:
+    """A record of figures, each with its deviation in the next field."""
+
+    @property
+    def figures(self) -> list[tuple[float, float]]:
+        """Value and deviation of each, in the order of the fields."""
+        numbers = [value for value in vars(self).values() if isinstance(value, float)]
+        return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+
 @dataclass(frozen=True)
-class BrakeRecord:
+class BrakeRecord(OfFigures):
     """The layshaft brake (`controller/estimate/brake_model.py`)."""
 
     shifts: int = count("learned_from_shifts", 0, MOST_SHIFTS)
@@ -134,7 +144,7 @@ class BrakeRecord:
 
 
 @dataclass(frozen=True)
-class NoiseRecord:
+class NoiseRecord(OfFigures):
     """What the layshaft's model leaves out, and the edges' own scatter. Each sd is that of a
     figure's logarithm."""
 
@@ -157,7 +167,7 @@ class NoiseRecord:
 
 
 @dataclass(frozen=True)
-class SwingRecord:
+class SwingRecord(OfFigures):
     """How the driveline swings in one step of the range
     (`controller/estimate/driveline_swing.py`). Each sd is that of a figure's logarithm."""
 
@@ -184,19 +194,6 @@ class SwingRecord:
     half_lash_rad: float = quantity("half_lash_deg", 1e-5, 90.0, DEG)
     """Half of the driveline's backlash, at the main shaft."""
     half_lash_sd: float = quantity("half_lash_sd", 0.0, 5.0)
-
-    @property
-    def figures(self) -> tuple[tuple[float, float], ...]:
-        """Value and deviation of each figure of the swing, in the order of
-        `driveline_swing.NATURAL` to `HILL`."""
-        return (
-            (self.natural_rad_s, self.natural_sd),
-            (self.damping, self.damping_sd),
-            (self.speed_rad_s, self.speed_sd),
-            (self.noise_rad2_s3, self.noise_sd),
-            (self.shaft_noise_rad2_s3, self.shaft_noise_sd),
-            (self.hill_rad_s2, self.hill_sd),
-        )
 
 
 @dataclass(frozen=True)

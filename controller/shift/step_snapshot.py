@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
 from meshpoint.controller.estimate.loaded_driveline import LoadedDriveline
+from meshpoint.controller.estimate.observer import LayshaftTracker
 from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.swing import ShaftState

@@ -21,7 +21,7 @@ import numpy as np
 
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.estimate.brake_model import PARAMETERS, BrakeModel, uncorrelated
-from meshpoint.controller.estimate.layshaft_tracker import LayshaftTracker
+from meshpoint.controller.estimate.observer import LayshaftTracker
 from meshpoint.controller.measure.inputs import ShaftSpeeds
 from meshpoint.controller.models.layshaft import LayshaftState, MotionModel
 from meshpoint.controller.models.layshaft_kernels import GAIN
