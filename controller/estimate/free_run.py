@@ -79,7 +79,7 @@ class FreeRun:
         before_s = float(known.mean[1])
 
         def run(touch_pa: float, lag_s: float, p: Vector) -> CrossingFilter:
-            law = motion.model.with_law(brake.law(touch_pa))
+            law = motion.model.changed(segments=brake.law(touch_pa))
             acting = motion.switches - np.array([[(lag_s - before_s) * SECOND_US], [0.0]])
             changed = motion._replace(model=law, switches=acting)
             return self._again(edges, above_touch(samples, touch_pa, lag_s), changed, p)
@@ -95,14 +95,15 @@ class FreeRun:
         edge's time cannot be distinguished from tooth errors that are not known: it stays then."""
         inertia = motion.inertia_kgm2
         edges, pressures = self._edges_by(motion.teeth), brake.above_touch(self.samples)
-        law = motion.model.with_law(brake.law())
+        law = motion.model.changed(segments=brake.law())
 
         def deviance(logs: Sequence[float]) -> float:
             time_s = math.exp(logs[EDGE_TIME])
             disturbance = Disturbance(math.exp(logs[TORQUE]), math.exp(logs[MEMORY]))
             p = self._p.copy()
             p[DISTURBANCE, DISTURBANCE] = (disturbance.torque_nm / inertia) ** 2
-            model = law.with_disturbance(*disturbance.density(inertia))
+            rate, density = disturbance.density(inertia)
+            model = law.changed(fading_per_s=rate, disturbance_rad2_s5=density)
             changed = motion._replace(model=model, edge_time_s=time_s)
             return self._again(edges, pressures, changed, p).deviance(edges.shape[1])
 
@@ -116,13 +117,13 @@ class FreeRun:
 
         steady_rad_s: the speed at which the drag is known, whatever the friction."""
         edges, pressures = self._edges_by(motion.teeth), brake.above_touch(self.samples)
-        law = motion.model.with_law(brake.law())
+        law = motion.model.changed(segments=brake.law())
 
         def run(friction_nms: float) -> CrossingFilter:
             rate = friction_nms / motion.inertia_kgm2
             x = self._x.copy()
             x[DRAG] += (rate - motion.model.friction_per_s) * steady_rad_s
-            changed = motion._replace(model=law.with_friction(rate))
+            changed = motion._replace(model=law.changed(friction_per_s=rate))
             return self._again(edges, pressures, changed, self._p, x)
 
         found = learn([known], lambda logs: run(math.exp(logs[0])).deviance(edges.shape[1]))

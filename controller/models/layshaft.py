@@ -89,23 +89,11 @@ class MotionModel(RecordMemory):
         """Deceleration by the brake's pressure."""
         return float(self.part("brake_rad_s2_pa")[0])
 
-    def with_friction(self, friction_per_s: float) -> MotionModel:
-        """The same motion with another viscous friction."""
+    def changed(self, **fields: float | Vector) -> MotionModel:
+        """The same motion with other values of these fields of `Model`."""
         other = copy.deepcopy(self)
-        other.part("friction_per_s")[0] = friction_per_s
-        return other
-
-    def with_disturbance(self, rate_per_s: float, density_rad2_s5: float) -> MotionModel:
-        """The same motion with another disturbance."""
-        other = copy.deepcopy(self)
-        other.part("fading_per_s")[0] = rate_per_s
-        other.part("disturbance_rad2_s5")[0] = density_rad2_s5
-        return other
-
-    def with_law(self, law: Vector) -> MotionModel:
-        """The same motion with another pressure law."""
-        other = copy.deepcopy(self)
-        other.part("segments")[:] = law
+        for name, value in fields.items():
+            other.part(name)[...] = value
         return other
 
 

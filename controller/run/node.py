@@ -29,12 +29,13 @@ from meshpoint.bus.optional import (
     proven,
     recorded_steps,
 )
+from meshpoint.bus.outage_record import OutageRecord
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.run.kept import Keep, OutageRecord
+from meshpoint.controller.run.kept import Keep
 from meshpoint.controller.run.warm_up import warm_up
 from meshpoint.controller.settings.header import RunHeader
 from meshpoint.dbc.frame import Frame

@@ -84,7 +84,7 @@ def _warm_up_baselines() -> None:
 def _warm_up_crossing() -> None:
     tuning, none = CrossingFilterTuning(), np.empty(0)
     switches = np.empty((2, 0))
-    model = following_motion(1.0, 1.0, 1.0).with_law(first_order_law(1.0, 1.0))
+    model = following_motion(1.0, 1.0, 1.0).changed(segments=first_order_law(1.0, 1.0))
     shaft = CrossingFilter(tuning)
     shaft.begin(0.0, np.ones(STATES), np.eye(STATES))
     shaft.take(np.array([[1e3], [0.1]]), 0.1, Pressures(none, none), switches, model)

@@ -117,7 +117,7 @@ class TrueState:
             ),
             main=ShaftState(time_us, main_rad, omega[Shaft.MAIN], 0.0, 0.0),
             brake=predictor.brake.seen_through(round(truth.brake_valve_delay_s * 1e6)),
-            model=predictor.model.with_law(self._law),
+            model=predictor.model.changed(segments=self._law),
             references=TrueReferences(self._sheet, offset),
             delay_us=round(mean_s * 1e6),
             delay_sd_s=sd_s,

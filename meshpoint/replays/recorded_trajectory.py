@@ -203,7 +203,7 @@ class BrakeDifference:
     ) -> None:
         self._trajectory = trajectory
         self._later_touch_pa = as_built.touch_pa.value - known.touch_pa.value
-        self._model = trajectory.model.with_law(as_built.law())
+        self._model = trajectory.model.changed(segments=as_built.law())
         self._off_us, self._on_us = as_built.off_delay_us, as_built.on_delay_us
         self._recorded = self._delayed(trajectory.brake)
         full_pa = max(

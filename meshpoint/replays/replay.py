@@ -4,7 +4,7 @@ A log is enough to repeat a live run byte for byte: each status frame says when 
 many frames it consumed and their CRC, and which run header it belongs to. `verify` says one of
 three things: identical; differs at step n; not verifiable, and why. Steps of a link outage are not
 in the log: where the controller has kept what they were made of
-(`controller/run/kept.py`), they are repeated from that, and what follows is verified
+(`bus/outage_record.py`), they are repeated from that, and what follows is verified
 again: identical in parts.
 """
 
@@ -21,8 +21,8 @@ from meshpoint.base.version import product_version
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.core import Core
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
+from meshpoint.bus.outage_record import OutageError, StepInput, load_outages
 from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.run.kept import OutageError, StepInput, load_outages
 from meshpoint.controller.settings.header import (
     HeaderError,
     RunHeader,

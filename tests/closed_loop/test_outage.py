@@ -18,10 +18,10 @@ from meshpoint.base.version import product_version
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
 from meshpoint.bus.frames import frame_of
+from meshpoint.bus.outage_record import AFTER_STEPS, BEFORE_STEPS, OutageRecord, load_outages
 from meshpoint.bus.records import Records
 from meshpoint.controller.core.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.run import node
-from meshpoint.controller.run.kept import AFTER_STEPS, BEFORE_STEPS, OutageRecord, load_outages
 from meshpoint.controller.settings.header import new_header
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame

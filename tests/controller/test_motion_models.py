@@ -89,9 +89,9 @@ def test_what_is_not_known_of_a_free_layshaft_grows_as_the_settings_say(split: S
 
 def test_another_disturbance_or_law_changes_that_alone() -> None:
     model = free()
-    other = model.with_disturbance(77.0, 5.0)
+    other = model.changed(fading_per_s=77.0, disturbance_rad2_s5=5.0)
     law = first_order_law(30.0, 5e5)
-    braked = model.with_law(law)
+    braked = model.changed(segments=law)
     assert other.part("fading_per_s")[0] == 77.0
     assert other.part("disturbance_rad2_s5")[0] == 5.0
     assert np.array_equal(braked.part("segments"), law.reshape(braked.part("segments").shape))

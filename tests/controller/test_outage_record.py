@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from meshpoint.bus.core import Step
-from meshpoint.bus.records import Records
-from meshpoint.controller.run import kept
-from meshpoint.controller.run.kept import (
+from meshpoint.bus.outage_record import (
     OutageError,
     OutageRecord,
     StepInput,
     load_outages,
     record_name,
 )
+from meshpoint.bus.records import Records
+from meshpoint.controller.run import kept
 from meshpoint.dbc.frame import Frame
 
 HASH = 0xAB

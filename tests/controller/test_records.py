@@ -99,7 +99,7 @@ from meshpoint.controller.estimate.teeth import WheelTeeth
 from meshpoint.controller.run.warm_up import warm_up
 rng = np.random.default_rng(4)
 tuning = CrossingFilterTuning()
-model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7, 8e5))
+model = following_motion(30.0, 0.05, 50.0).changed(segments=first_order_law(16.7, 8e5))
 switches = np.array([[20e3, 60e3], [1.0, 0.0]])
 edges = np.array((np.cumsum(rng.uniform(400.0, 600.0, 200)), np.pi / 45 * np.arange(1, 201)))
 pressures = Pressures(np.arange(10e3, 100e3, 10e3), rng.uniform(0.0, 2e5, 9))
