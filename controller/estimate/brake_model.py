@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.crossing_filter import Pressures
-from meshpoint.controller.estimate.figures import Estimate, in_pairs
+from meshpoint.controller.estimate.figures import Estimate
 from meshpoint.controller.measure.gearbox_view import PressureSamples
 from meshpoint.controller.models.layshaft import MotionModel
 from meshpoint.controller.models.layshaft_kernels import (
@@ -60,7 +60,6 @@ FILLING: Final = (0.0, 0.3, 0.6, 0.85, 1.0)
 """Knots in shares of the supply pressure. An empty chamber does not empty, a full one not fill: the
 rates at 0 and at 1 are zero."""
 RATES: Final = len(EMPTYING) - 1
-HALVES: Final = slice(0, RATES), slice(RATES, 2 * RATES)
 OFF_DELAY, ON_DELAY = 2 * RATES, 2 * RATES + 1
 PARAMETERS: Final = 2 * RATES + 2
 """Logarithms of the emptying rates at knots 1.., of the filling rates at knots 0.., two delays."""
@@ -187,7 +186,7 @@ class BrakeModel:
         self._mean: Vector = np.zeros(PARAMETERS)
         self._mean[[OFF_DELAY, ON_DELAY]] = delay
         self._covariance = np.diag([OWN_SD**2] * 2 * RATES + [delay_sd_s**2] * 2)
-        for half in HALVES:
+        for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
             self._covariance[half, half] += sheet.brake.time_constant_tolerance**2
         self.shifts = 0
         """From how many shifts the law was learned."""
@@ -230,11 +229,14 @@ class BrakeModel:
             return None
         mean, sd = self._mean, np.sqrt(np.diag(self._covariance))
         factors = np.exp(mean[: 2 * RATES])
-        return BrakeRecord(
-            self.shifts,
-            *in_pairs(self.gain, self.drag_nm, self.touch_pa, self.sensor_lag_s),
-            *(tuple(of[half].tolist()) for half in HALVES for of in (factors, sd)),
-            *(float(of[delay]) for delay in (OFF_DELAY, ON_DELAY) for of in (mean, sd)),
+        off, on = (Estimate(float(mean[k]), float(sd[k])) for k in (OFF_DELAY, ON_DELAY))
+        return BrakeRecord.of(
+            *(self.gain, self.drag_nm, self.touch_pa, self.sensor_lag_s, off, on),
+            shifts=self.shifts,
+            emptying=tuple(factors[:RATES].tolist()),
+            emptying_sd=tuple(sd[:RATES].tolist()),
+            filling=tuple(factors[RATES:].tolist()),
+            filling_sd=tuple(sd[RATES : 2 * RATES].tolist()),
         )
 
     def restore(self, record: BrakeRecord) -> None:

@@ -121,7 +121,7 @@ class FilterRun:
     @property
     def log_variance(self) -> float:
         """Sum of the logarithms of the innovations' variances."""
-        return self._memory.log_variance.item()
+        return float(self._memory.log_variance[0])
 
 
 class CrossingFilter(FilterRun):

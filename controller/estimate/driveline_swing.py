@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimate.crossing_filter import MAIN_FILTER, CrossingFilter, Pressures
-from meshpoint.controller.estimate.figures import Figure, Search, in_pairs, prior
+from meshpoint.controller.estimate.figures import Figure, Search, prior
 from meshpoint.controller.estimate.lash import LashFigures
 from meshpoint.controller.models.swing import RATE, STEADY, SWING, SwingMotion, SwingRates
 from meshpoint.controller.settings.filters import CrossingFilterTuning
@@ -74,7 +74,7 @@ class DrivelineSwing:
         shift it was learned from."""
         if self.shifts == 0:
             return None
-        return SwingRecord(self.shifts, *in_pairs(*self._figures), has_lash, *in_pairs(lash.half))
+        return SwingRecord.of(*self._figures, lash.half, shifts=self.shifts, has_lash=has_lash)
 
     def restore(self, record: SwingRecord) -> None:
         """Starts from a record."""

@@ -90,11 +90,6 @@ def prior(typical: float, factor: float, range_: tuple[float, float], least_sd: 
     return Figure(math.log(typical), sd, math.log(range_[0]), math.log(range_[1]), sd, least_sd)
 
 
-def in_pairs(*known: Figure | Estimate) -> list[float]:
-    """Value and deviation of each, one after the other: as a calibration file keeps them."""
-    return [number for one in known for number in (one.value, one.sd)]
-
-
 class Found(NamedTuple):
     """Figures, and their deviance to what they were learned from."""
 

@@ -149,11 +149,8 @@ class InGear(NamedTuple):
 
 def in_gear(sheet: GearboxSheet, gear: DriveGear) -> InGear:
     """Of a gear of this sheet."""
-    axle, behind, overall = (
-        sheet.axle,
-        sheet.range_mesh(gear.range_).ratio,
-        sheet.overall_ratio(gear),
-    )
+    axle, overall = sheet.axle, sheet.overall_ratio(gear)
+    behind = sheet.range_mesh(gear.range_).ratio
     turned = axle.propeller_kgm2 + axle.main_kgm2 / behind**2
     turned += sheet.geared_kgm2(gear)
     return InGear(

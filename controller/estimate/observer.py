@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from meshpoint.controller.estimate.baselines import BaselineTracker, CruiseTracker
 from meshpoint.controller.estimate.brake_model import BrakeModel
-from meshpoint.controller.estimate.figures import in_pairs
 from meshpoint.controller.estimate.layshaft_tracker import CrossingTracker, LayshaftModels
 from meshpoint.controller.estimate.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimate.main_tracker import DrivelineSpec, MainTracker
@@ -122,8 +121,8 @@ class Observer:
             return None
         layshaft, main = self._learners
         edge, torque, memory = layshaft.noise
-        known = in_pairs(edge, main.edge_time, torque, memory, layshaft.friction)
-        return NoiseRecord(layshaft.noise_shifts, *known)
+        known = edge, main.edge_time, torque, memory, layshaft.friction
+        return NoiseRecord.of(*known, shifts=layshaft.noise_shifts)
 
     def take_noise(self, record: NoiseRecord) -> None:
         """Sets scatter and disturbance as learned in earlier runs."""

@@ -57,7 +57,6 @@ TEETH_LATE: Final = 3
 SPEED_HELD_US: Final = 45_000
 """While frames hold a tooth too many or too few, the last speed stays valid for this long."""
 LOW: Final = 0xFFFF
-_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 TOGETHER_SHARE: Final = 0.01
 """Shafts whose speeds differ by less turn together: pitch errors of a wheel are half of it."""
@@ -237,33 +236,18 @@ def warm_up() -> None:
     newest_teeth(np.zeros(STAMPS, np.int64), 1)
 
 
-class Speed(NamedTuple):
-    """A mean speed, and the middle of the interval it was measured over (sensor clock, us)."""
-
-    time_us: int
-    omega_rad_s: float
-
-
-class Turned(NamedTuple):
-    """Number of teeth passed until the newest edge, and the time (us) of that edge."""
-
-    time_us: int
-    teeth: int
-
-
 class EdgeSpeed:
     """One shaft's wheel by its rising edges."""
 
     def __init__(self, teeth: int) -> None:
         self._pitch_rad = 2.0 * math.pi / teeth
-        self._speed: Speed | None = None
+        self._speed: float | None = None
         self._measured_us = 0
         self._is_dead = False
         self._interval_us = 0
         self._index = 0
         self._low: Integers = np.zeros(STAMPS, np.int64)
         self._newest_us: int | None = None
-        self._teeth = 0
 
     def take(self, frame: EdgeFrame, now_us: int) -> None:
         """One frame, read shortly before `now_us` of the sensor clock."""
@@ -273,10 +257,8 @@ class EdgeSpeed:
         read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF
         stamps = frame.timestamp_low_us
         newest_us = read_us - ((read_us - stamps[0]) & LOW)
-        fresh = (frame.newest_index - self._index) & LOW
-        if fresh == 0 and self._newest_us is not None:
+        if frame.newest_index == self._index and self._newest_us is not None:
             newest_us = self._newest_us  # no new edge, however young its 16 bits make it look
-        self._teeth += fresh
         self._index = frame.newest_index
         self._newest_us = newest_us
         self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)
@@ -284,17 +266,11 @@ class EdgeSpeed:
         span_us, teeth = newest_teeth(self._low, frame.valid_stamps)
         if teeth:
             self._interval_us = span_us // teeth
-            omega = teeth * self._pitch_rad / (span_us * 1e-6)
-            self._speed = _new(Speed, (newest_us - span_us // 2, omega))
+            self._speed = teeth * self._pitch_rad / (span_us * 1e-6)
             self._measured_us = newest_us
 
-    @property
-    def turned(self) -> Turned | None:
-        """Running count of teeth; None before the first edge."""
-        return None if self._newest_us is None else Turned(self._newest_us, self._teeth)
-
-    def at(self, now_us: int) -> Speed | None:
-        """The newest speed; None if there is none, or if edges have stopped coming."""
+    def at(self, now_us: int) -> float | None:
+        """The newest speed (rad/s); None if there is none, or if edges have stopped coming."""
         newest_us = self._newest_us
         if self._speed is None or newest_us is None or self._is_dead:
             return None
@@ -348,9 +324,8 @@ class ShaftSpeedMeter:
         for (kind, wheel), shaft in zip(self._wheels, SHAFT_OF_WHEEL, strict=True):
             for frame in inputs.edges[kind]:
                 wheel.take(frame, now_us)
-            speed = wheel.at(now_us)
-            if speeds[shaft] is None and speed is not None:
-                speeds[shaft] = speed.omega_rad_s
+            if speeds[shaft] is None:
+                speeds[shaft] = wheel.at(now_us)
         return ShaftSpeeds(self._sheet, *speeds)
 
 

@@ -247,11 +247,6 @@ class Polarity:
         self.count = count
         return True
 
-    def edges(self) -> list[tuple[int, int]]:
-        """The edges not used yet as (number, time)."""
-        numbers, times_us = self.rows[:, : self.count].tolist()
-        return list(zip(numbers, times_us, strict=True))
-
 
 class WheelEdges:
     """One sensor wheel with both polarities.

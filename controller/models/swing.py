@@ -29,7 +29,7 @@ import numpy as np
 from meshpoint.controller.models.backlash import LashTrajectory
 from meshpoint.controller.models.layshaft_kernels import copy_on, measure, mirror
 from meshpoint.kernels.jit import compiled, inlined, new_record, record_on
-from meshpoint.kernels.records import WORD_BYTES, Over, RecordMemory, Vector, layout_of
+from meshpoint.kernels.records import Over, RecordMemory, Vector, layout_of
 from meshpoint.units import US
 
 SWING_STATES: Final = 5
@@ -84,7 +84,6 @@ class SwingStep:
 SWING_STATE: Final = layout_of(SwingState)
 SWING_MODEL: Final = layout_of(SwingModel)
 SWING_STEP: Final = layout_of(SwingStep)
-SWING_MODEL_WORDS: Final = SWING_MODEL.itemsize // WORD_BYTES
 
 
 @inlined

@@ -6,8 +6,9 @@ here and in the units of their keys in the file (docs/calibration.md).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Self
 
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
@@ -24,8 +25,6 @@ from meshpoint.gearbox.tables import (
     text,
 )
 from meshpoint.units import BAR, DEG, MM, MS, RPM, TURN, US
-
-Record = TypeVar("Record")
 
 CALIBRATION_FORMAT: Final = 1
 MOST_SHIFTS: Final = 1_000_000_000
@@ -98,13 +97,26 @@ class ReferenceRecords:
 
 
 class OfFigures:
-    """A record of figures, each with its deviation in the next field."""
+    """A record of figures: its numbers are in turn the value of one and its deviation."""
+
+    @classmethod
+    def of(cls, *figures: Any, **others: Any) -> Self:
+        """The record of figures, each of which has `value` and `sd`, in the order of the fields;
+        others: its other fields."""
+        numbers = [number for one in figures for number in (one.value, one.sd)]
+        make: Callable[..., Self] = cls
+        return make(**dict(zip(cls._numbers(), numbers, strict=True)), **others)
 
     @property
     def figures(self) -> list[tuple[float, float]]:
-        """Value and deviation of each, in the order of the fields."""
-        numbers = [value for value in vars(self).values() if isinstance(value, float)]
+        """Value and deviation of each, in the same order."""
+        numbers = [getattr(self, name) for name in self._numbers()]
         return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+    @classmethod
+    def _numbers(cls) -> list[str]:
+        own: Any = fields(cls)  # type: ignore[arg-type]
+        return [field.name for field in own if field.metadata["rule"].kind is float]
 
 
 @dataclass(frozen=True)
@@ -204,15 +216,6 @@ class SwingRecords:
     high: SwingRecord | None = group(SwingRecord, default=None)
 
 
-class ByGear(Generic[Record]):
-    """What is kept of each main gear, in a field of its name."""
-
-    def of(self, gear: MainGear) -> Record | None:
-        """The record of a gear."""
-        record: Record | None = getattr(self, gear.name.lower())
-        return record
-
-
 @dataclass(frozen=True)
 class SleeveRecord:
     """A sleeve's contacts with one gear (`controller/sleeve/stroke.py`)."""
@@ -263,13 +266,18 @@ class SleeveLawRecord:
 
 
 @dataclass(frozen=True)
-class SleeveRecords(ByGear[SleeveRecord]):
+class SleeveRecords:
     """The gears into which a sleeve has been seen to go."""
 
     crawl: SleeveRecord | None = group(SleeveRecord, default=None)
     first: SleeveRecord | None = group(SleeveRecord, default=None)
     second: SleeveRecord | None = group(SleeveRecord, default=None)
     third: SleeveRecord | None = group(SleeveRecord, default=None)
+
+    def of(self, gear: MainGear) -> SleeveRecord | None:
+        """The record of a gear."""
+        record: SleeveRecord | None = getattr(self, gear.name.lower())
+        return record
 
 
 @dataclass(frozen=True)

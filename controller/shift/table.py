@@ -214,8 +214,3 @@ class ShiftRecord:
         """Whether the range box changes, too: it leaves the main shaft swinging."""
         before = DRIVE_GEARS.get(self.from_number)
         return before is not None and before.range_ is not self.target.range_
-
-    @property
-    def over(self) -> bool:
-        """Whether it has ended, well or not."""
-        return self.result is not ShiftResult.NONE

@@ -76,49 +76,6 @@ class Ways(NamedTuple):
         return column
 
 
-def follow(
-    law: SleeveLaw,
-    unknowns: Vector,
-    supply_pa: float,
-    start: Start,
-    switches: list[Switch],
-    *,
-    ending: int,
-    until_us: float,
-    level_m: float = FOREVER,
-    direction: float = 1.0,
-    seen: Vector | None = None,
-    first_us: float = 0.0,
-    from_m: Vector | None = None,
-) -> Ways:
-    """From `start` by the law, for each row of unknowns: what is learned, then by how much each
-    switch's spool is late beyond its valve's learned delay. seen: takes, a row each, the places at
-    first_us and every millisecond after. from_m: each row's own place to start from."""
-    begin_us, count = start.time_us, len(unknowns)
-    coils = [((time_us - begin_us) * US, valve, on) for time_us, valve, on in switches]
-    states, ways = np.empty((count, start.state.size)), np.empty((count, WAY_WORDS))
-    states[:] = start.state
-    if from_m is not None:
-        states[:, 0] = from_m
-    carry(
-        law.sheet,
-        law.atmosphere_pa + supply_pa,
-        start.stop_m,
-        start.is_rest,
-        np.array(coils, dtype=np.float64) if coils else NO_SWITCHES,
-        unknowns,
-        level_m,
-        direction,
-        (until_us - begin_us) * US,
-        ending,
-        (first_us - begin_us) * US,
-        np.empty((count, 0)) if seen is None else seen,
-        states,
-        ways,
-    )
-    return Ways(ways, states)
-
-
 def single(found: Ways, start: Start) -> Way:
     """The first of them, in sensor time."""
     crossed_s, speed = found.ways[0, :2].tolist()
@@ -169,12 +126,8 @@ class DrivenSleeve:
 
     # ---- switches
 
-    def commanded(self, valve: int, on: bool, time_us: int, now_us: int) -> None:
-        """A coil switches then; replaces what was still to come of that valve."""
-        self.expected(valve, [(time_us, on)], now_us)
-
     def expected(self, valve: int, switches: list[tuple[int, bool]], now_us: int) -> None:
-        """What is to come of a valve is this."""
+        """Its coils switch then: replaces what was still to come of that valve."""
         if not (switches[0][1] or self.switches or self.start.state[4 + valve]):
             return  # off, as it is
         wanted = [Switch(time_us, valve, on) for time_us, on in switches]
@@ -182,10 +135,6 @@ class DrivenSleeve:
         for one in wanted:
             if one not in self.switches and self.driven(valve, one.time_us) != one.on:
                 self._insert(one)
-
-    def withdrawn(self, valve: int, now_us: int) -> None:
-        """What was still to come of a valve does not come."""
-        self._keep(lambda one: one.valve != valve or one.time_us <= now_us)
 
     def driven(self, valve: int, time_us: float) -> bool:
         """Whether a coil is on then, by the commands."""
@@ -296,20 +245,40 @@ class DrivenSleeve:
         *,
         ending: int,
         until_us: float,
-        **asked: float | Vector,
+        level_m: float = FOREVER,
+        direction: float = 1.0,
+        seen: Vector | None = None,
+        first_us: float = 0.0,
+        from_m: Vector | None = None,
     ) -> Ways:
         """Where the sleeve goes by these switches, for each row of unknowns: what is learned, then
-        the chance of each switch."""
-        return follow(
-            self.law,
+        by how much each switch's spool is late beyond its valve's learned delay. seen: takes, a row
+        each, the places at first_us and every millisecond after. from_m: each row's own place to
+        start from."""
+        start, count = self.start, len(unknowns)
+        begin_us = start.time_us
+        coils = [((time_us - begin_us) * US, valve, on) for time_us, valve, on in switches]
+        states, ways = np.empty((count, start.state.size)), np.empty((count, WAY_WORDS))
+        states[:] = start.state
+        if from_m is not None:
+            states[:, 0] = from_m
+        carry(
+            self.law.sheet,
+            self.law.atmosphere_pa + self.supply_pa,
+            start.stop_m,
+            start.is_rest,
+            np.array(coils, dtype=np.float64) if coils else NO_SWITCHES,
             unknowns,
-            self.supply_pa,
-            self.start,
-            switches,
-            ending=ending,
-            until_us=until_us,
-            **asked,  # type: ignore[arg-type]
+            level_m,
+            direction,
+            (until_us - begin_us) * US,
+            ending,
+            (first_us - begin_us) * US,
+            np.empty((count, 0)) if seen is None else seen,
+            states,
+            ways,
         )
+        return Ways(ways, states)
 
     def ahead(
         self,
@@ -318,7 +287,8 @@ class DrivenSleeve:
         until_us: float,
         switches: list[Switch] | None = None,
         unknowns: Vector | None = None,
-        **asked: float,
+        level_m: float = FOREVER,
+        direction: float = 1.0,
     ) -> Way:
         """Where the sleeve goes, by the commands so far or by these. unknowns: other ones than
         those expected."""
@@ -326,7 +296,10 @@ class DrivenSleeve:
             switches = self.switches
         if unknowns is None:
             unknowns = self.unknowns(switches)
-        found = self.ways(unknowns[np.newaxis], switches, ending=ending, until_us=until_us, **asked)
+        found = self.ways(
+            unknowns[np.newaxis], switches, ending=ending, until_us=until_us, level_m=level_m,
+            direction=direction,
+        )  # fmt: skip
         return single(found, self.start)
 
     def at(self, time_us: int) -> Way:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from functools import cache
 from typing import Final, NamedTuple
 
@@ -75,6 +76,8 @@ LOGS, UNITS = np.zeros(PARAMETERS, dtype=bool), np.ones(PARAMETERS)
 """Of which the logarithm is learned, and what one of the others is in SI."""
 LOGS[FEED : VENT + 1] = LOGS[GAIN] = True
 UNITS[[DETENT, IN_GEAR]], UNITS[OFFSET] = DETENT_UNIT_N, OFFSET_UNIT_M
+NAMES: Final = [field.name for field in fields(SleeveLawRecord)][1:-1]
+"""Of the figures in a record, in the order of the parameters."""
 LEAST_VARIANCE = 1e-14
 
 
@@ -269,15 +272,16 @@ def law_record(known: Prior, movements: int) -> SleeveLawRecord:
     kept = np.where(LOGS, np.exp(known.mean), known.mean * UNITS)[KEPT].tolist()
     covariance = known.covariance[np.ix_(KEPT, KEPT)]
     root = np.linalg.cholesky(covariance + LEAST_VARIANCE * np.eye(len(KEPT)))
-    pairs = (tuple(kept[k : k + 2]) for k in (ON, OFF, FEED))
+    figures = [*(tuple(kept[k : k + 2]) for k in (ON, OFF, FEED)), *kept[FRICTION:]]
     lower = tuple(root[np.tril_indices(len(KEPT))].tolist())
-    return SleeveLawRecord(movements, *pairs, *kept[FRICTION:], lower)
+    named = dict(zip(NAMES, figures, strict=True))
+    return SleeveLawRecord(movements=movements, **named, root=lower)
 
 
 def known_from(record: SleeveLawRecord) -> Prior:
     """The inverse."""
     mean, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
-    kept = np.hstack(list(vars(record).values())[1:-1])
+    kept = np.hstack([getattr(record, name) for name in NAMES])
     logs = LOGS[KEPT]
     mean[KEPT] = kept / UNITS[KEPT]
     mean[np.array(KEPT)[logs]] = np.log(kept[logs])

@@ -30,7 +30,6 @@ from meshpoint.controller.sleeve.stroke import (
     aborted,
     contact_sd_s,
     halted,
-    latest_abort_us,
     latest_from_neutral_us,
     law_figures,
     may_be_thrown,
@@ -134,26 +133,18 @@ class Sleeves:
         side = _OF_VALVE.get(valve)
         return side if side is not None and side.sleeve in self._sleeves else None
 
-    def commanded(self, valve: ValveName, on: bool, time_us: int) -> None:
-        """A valve's coil switches then (known in advance, or since), in place of what was still to
-        come of it. Valves of cones are none of this room's."""
-        side = self._side(valve)
-        if side is not None:
-            self._sleeves[side.sleeve].commanded(side.valve, on, time_us, self._now_us)
+    def _of(self, gear: DogGear) -> tuple[Side, TrackedSleeve]:
+        """A gear's side, and its sleeve."""
+        side = _SIDES[gear]
+        return side, self._sleeves[side.sleeve]
 
     def expected(self, valve: ValveName, switches: list[tuple[int, bool]]) -> None:
-        """A main valve's coil switches then (time, on), in this order, and not otherwise. Said once
-        or in each step."""
+        """A valve's coil switches then (time, on), in this order, and not otherwise: known in
+        advance, or since. Said once or in each step. Valves of cones are none of this room's."""
         side = self._side(valve)
         if side is not None and switches != self._expected.get(valve):
             self._expected[valve] = switches
             self._sleeves[side.sleeve].expected(side.valve, switches, self._now_us)
-
-    def withdrawn(self, valve: ValveName, now_us: int) -> None:
-        """A switch still to come does not come."""
-        side = self._side(valve)
-        if side is not None:
-            self._sleeves[side.sleeve].withdrawn(side.valve, now_us)
 
     def take(self, view: GearboxView, now_us: int) -> None:
         """Each step: the newest position samples. Where a movement is over, it is learned from."""
@@ -215,29 +206,25 @@ class Sleeves:
     def stroke(self, gear: DogGear, fire_us: int) -> Stroke:
         """The contact, if the valve towards the gear switches on then, from where the sleeve is
         then."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
+        side, tracked = self._of(gear)
         return self._stroke(gear, tracked, tracked.fired(side.direction, fire_us))
 
     def stroke_after(self, gear: DogGear, halt: Halt, fire_us: int) -> Stroke:
         """The contact, if a sleeve on its way to this gear is stopped so, and fired again then."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
+        side, tracked = self._of(gear)
         pulse_us = halt.off_us - halt.at_us
         stopped = aborted(tracked.switches, side.direction, halt.at_us, pulse_us)
         return self._stroke(gear, tracked, [*stopped, Switch(fire_us, side.valve, True)])
 
     def from_neutral(self, gear: DogGear) -> Stroke:
         """A stroke from neutral at the present supply pressure: `contact_us` is its delay."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve].at_rest(0.0)
-        return self._stroke(gear, tracked, [Switch(0, side.valve, True)])
+        side, tracked = self._of(gear)
+        return self._stroke(gear, tracked.at_rest(0.0), [Switch(0, side.valve, True)])
 
     def from_rest(self, gear: DogGear) -> Stroke:
         """The same from where the sleeve stands, or stood before it moved; from neutral, where that
         is in a gear."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
+        side, tracked = self._of(gear)
         rest_m = tracked.place_of(tracked.rest_m)
         if abs(rest_m) >= self._law.face_m:
             rest_m = 0.0
@@ -271,42 +258,27 @@ class Sleeves:
         contact_us = LONGEST_US if crossed_us is None else crossed_us
         return contact_sd_s(tracked, side.direction, switches, contact_us)
 
-    def last_abort_us(self, gear: DogGear, fire_us: int) -> int | None:
-        """The latest "driving valve off, opposite one on" (coils) at which a sleeve fired at
-        `fire_us` still stops short of the teeth by the margin. None where it cannot be stopped any
-        more, or stands already."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
-        fired = tracked.fired(side.direction, fire_us)
-        contact_us = to_contact(tracked, side.direction, fired).crossed_us
-        if contact_us is None:
-            return None
-        earliest_us = max(fire_us, self._now_us)
-        return latest_abort_us(tracked, side.direction, fired, earliest_us, int(contact_us))
-
     def stops(self, gear: DogGear, fire_us: int, at_us: int) -> bool:
         """Whether a sleeve fired at `fire_us` stops short of the teeth by the margin, if it is
         aborted then."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
+        side, tracked = self._of(gear)
         return stops(tracked, side.direction, tracked.fired(side.direction, fire_us), at_us)
 
     def abort_after_us(self, gear: DogGear) -> int:
         """So long after a firing from neutral the sleeve can last be stopped short of the teeth. In
         a step that learns from a movement, which takes long enough, by what was known before."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
+        side, tracked = self._of(gear)
         known = (tracked.version, round(self._supply_pa / ABORT_SUPPLY_PA))
         found = self._abort_after.get(gear)
         if found is None or (found[0] != known and side.sleeve not in self._learned):
             last_us = latest_from_neutral_us(tracked.at_rest(0.0), side.direction)
-            found = self._abort_after[gear] = known, last_us or 0
+            found = self._abort_after[gear] = known, last_us
         return found[1]
 
     def abort(self, gear: DogGear, at_us: int) -> Halt:
         """How a sleeve on its way to this gear is stopped from then on, and where it will stand."""
-        side = _SIDES[gear]
-        return halted(self._sleeves[side.sleeve], side.direction, at_us)
+        side, tracked = self._of(gear)
+        return halted(tracked, side.direction, at_us)
 
     def to_neutral(self, sleeve: Sleeve, at_us: int) -> Pulse | None:
         """The pulse that brings a sleeve to rest in neutral: towards it from before the teeth or
@@ -426,8 +398,7 @@ class Sleeves:
 
     def law_figures(self, gear: DogGear) -> LawFigures:
         """What is known of the law by which the sleeve goes to this gear."""
-        side = _SIDES[gear]
-        tracked = self._sleeves[side.sleeve]
+        side, tracked = self._of(gear)
         return law_figures(tracked.at_rest(0.0), side.direction, tracked.movements)
 
     def restore(self, records: SleeveRecords, laws: SleeveLawRecords) -> None:

@@ -120,22 +120,15 @@ def to_contact(sleeve: DrivenSleeve, direction: int, switches: list[Switch]) -> 
     return single(ways, sleeve.start)
 
 
-def contacts_us(
-    sleeve: DrivenSleeve, direction: int, switches: list[Switch], unknowns: Vector
-) -> Vector:
-    """When it meets them for each row of unknowns; nan where it does not."""
-    crossed_s = _ways(sleeve, direction, switches, unknowns).of("crossed_s")
-    return np.where(crossed_s < 0.0, np.nan, sleeve.start.time_us + SECOND_US * crossed_s)
-
-
 def contact_sd_s(
     sleeve: DrivenSleeve, direction: int, switches: list[Switch], contact_us: float
 ) -> float:
     """Deviation of that contact."""
 
     def late_s(unknowns: Vector) -> Vector:
-        late_us = contacts_us(sleeve, direction, switches, unknowns) - contact_us
-        return np.nan_to_num(US * late_us)
+        crossed_s = _ways(sleeve, direction, switches, unknowns).of("crossed_s")
+        late_us = sleeve.start.time_us + SECOND_US * crossed_s - contact_us
+        return np.nan_to_num(US * np.where(crossed_s < 0.0, np.nan, late_us))
 
     return sleeve.sd(late_s, switches, 0.0)
 
@@ -214,26 +207,19 @@ def aborted(switches: list[Switch], direction: int, at_us: int, pulse_us: int) -
     return [*kept, off, *pulse]
 
 
-def latest_abort_us(
-    sleeve: DrivenSleeve, direction: int, fired: list[Switch], earliest_us: int, contact_us: int
-) -> int | None:
-    """The latest abort, no sooner than `earliest_us`, after which the sleeve stops short; by
-    bisection: the later the abort, the further it gets."""
-    if not stops(sleeve, direction, fired, earliest_us):
-        return None
-    early, late = earliest_us, max(contact_us, earliest_us + 1)
+def latest_from_neutral_us(sleeve: DrivenSleeve, direction: int) -> int:
+    """The latest abort after which a sleeve that rests in neutral and is fired at 0 stops short, or
+    0; by bisection: the later the abort, the further it gets."""
+    fired = [Switch(0, valve_towards(direction), True)]
+    if not stops(sleeve, direction, fired, 0):
+        return 0
+    contact_us = to_contact(sleeve, direction, fired).crossed_us or 0.0
+    early, late = 0, max(int(contact_us), 1)
     while late - early > ABORT_STEP_US:
         middle = (early + late) // 2
         in_time = stops(sleeve, direction, fired, middle)
         early, late = (middle, late) if in_time else (early, middle)
     return early
-
-
-def latest_from_neutral_us(sleeve: DrivenSleeve, direction: int) -> int | None:
-    """The same of a sleeve that rests in neutral and is fired at 0."""
-    fired = [Switch(0, valve_towards(direction), True)]
-    contact_us = to_contact(sleeve, direction, fired).crossed_us or 0.0
-    return latest_abort_us(sleeve, direction, fired, 0, int(contact_us))
 
 
 def halted(sleeve: DrivenSleeve, direction: int, at_us: int) -> Halt:

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshpoint.controller.measure.gearbox_view import SAMPLE_US, SleeveTrack
 from meshpoint.controller.sleeve.cylinder import FOREVER, GAIN, LEFT, OFFSET, PARAMETERS, TO_TIME
-from meshpoint.controller.sleeve.driven import DrivenSleeve, Start, Way, follow, valve_towards
+from meshpoint.controller.sleeve.driven import DrivenSleeve, Start, Way, valve_towards
 from meshpoint.controller.sleeve.law import LEFT_SD, OFFSET_UNIT_M, Prior, SleeveLaw, fit
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
@@ -285,10 +285,9 @@ class TrackedSleeve(DrivenSleeve):
         def readings(unknowns: Vector) -> Vector:
             scale, offset_m = np.exp(unknowns[:, GAIN]), unknowns[:, OFFSET] * OFFSET_UNIT_M
             seen = np.empty((len(unknowns), int(at[-1]) + 1))
-            follow(
-                self.law, unknowns, self.supply_pa, self.start, self.switches, ending=TO_TIME,
-                until_us=float(times[-1]) + 1.0, seen=seen, first_us=first_us,
-                from_m=(self.rest_m - offset_m) / scale,
+            self.ways(
+                unknowns, self.switches, ending=TO_TIME, until_us=float(times[-1]) + 1.0, seen=seen,
+                first_us=first_us, from_m=(self.rest_m - offset_m) / scale,
             )  # fmt: skip
             return seen[:, at] * scale[:, np.newaxis] + offset_m[:, np.newaxis]
 

@@ -11,7 +11,7 @@ import pytest
 from loop_bench import Loop
 
 from meshpoint.controller.measure.clock import SensorClockEstimate
-from meshpoint.controller.measure.inputs import EdgeSpeed, Speed
+from meshpoint.controller.measure.inputs import EdgeSpeed
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
@@ -80,7 +80,7 @@ def test_the_guard_measures_speeds_itself(monkeypatch: pytest.MonkeyPatch) -> No
     seen = loop.watch_guard()
     loop.run_to_state(State.SYNCHRONISING, 2_000_000)
     before = seen[-1][1].speeds[1].omega_rad_s
-    monkeypatch.setattr(EdgeSpeed, "at", lambda self, now_us: Speed(now_us, before))
+    monkeypatch.setattr(EdgeSpeed, "at", lambda self, now_us: before)
     loop.run(loop.time.now_us + 60_000)
     assert seen[-1][1].speeds[1].omega_rad_s < before - 1.0
 

@@ -30,7 +30,7 @@ class SleeveBench:
     def command(self, valve: int, on: bool, time_us: int) -> None:
         """To the valve and to the room."""
         self.sleeve.command(valve, on, time_us)
-        self.sleeves.commanded(VALVES[valve], on, time_us - self.back_us)
+        self.sleeves.expected(VALVES[valve], [(time_us - self.back_us, on)])
 
     def step(self) -> None:
         """Ten milliseconds more."""

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.measure.inputs import SPAN_US, STAMPS, UNEVEN, EdgeSpeed, Turned
+from meshpoint.controller.measure.inputs import SPAN_US, STAMPS, UNEVEN, EdgeSpeed
 from meshpoint.dbc.messages import EdgesLayshaftRise
 
 TEETH = 40
@@ -25,7 +25,7 @@ def frame(intervals_us: list[int], newest: int = 500) -> EdgesLayshaftRise:
     return EdgesLayshaftRise(NOW_US, newest, len(stamps), False, False, False, tuple(padded))
 
 
-def speed_of(intervals_us: list[int]) -> tuple[float, float] | None:
+def speed_of(intervals_us: list[int]) -> float | None:
     shaft = EdgeSpeed(TEETH)
     shaft.take(frame(intervals_us), NOW_US)
     return shaft.at(NOW_US)
@@ -33,12 +33,8 @@ def speed_of(intervals_us: list[int]) -> tuple[float, float] | None:
 
 @given(st.integers(200, 30_000), st.integers(1, STAMPS - 1))
 def test_it_is_the_newest_teeth_over_their_time(interval_us: int, intervals: int) -> None:
-    found = speed_of([interval_us] * intervals)
-    assert found is not None
-    used = min(intervals, math.ceil(SPAN_US / interval_us))
-    time_us, omega = found
-    assert omega == pytest.approx(2.0 * math.pi / TEETH / (interval_us * 1e-6))
-    assert time_us == NOW_US - used * interval_us // 2
+    omega_rad_s = speed_of([interval_us] * intervals)
+    assert omega_rad_s == pytest.approx(2.0 * math.pi / TEETH / (interval_us * 1e-6))
 
 
 @given(st.integers(200, 3_000), st.integers(0, 5), st.floats(1.05, 3.0))
@@ -56,10 +52,5 @@ def test_a_sensor_that_was_silent_is_not_one_slow_tooth(interval_us: int, silent
     assert speed_of([silent_us, interval_us, interval_us]) is None
 
 
-def test_one_edge_is_no_speed_but_teeth_are_counted_on() -> None:
-    shaft = EdgeSpeed(TEETH)
-    assert shaft.turned is None
-    shaft.take(frame([700] * 5, newest=500), NOW_US)
-    shaft.take(frame([700] * 5, newest=507), NOW_US)
-    assert shaft.turned == Turned(NOW_US, 507)
+def test_one_edge_is_no_speed() -> None:
     assert speed_of([]) is None

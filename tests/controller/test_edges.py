@@ -125,7 +125,7 @@ def test_the_chain_of_one_polarity_has_no_hole(wheel: Wheel, wanted: list[bool])
     kept = keep_enough(wheel, wanted)
     for read_us in kept:
         polarity.take(wheel.rise(read_us), read_us)
-        got += polarity.edges()
+        got += zip(*polarity.rows[:, : polarity.count].tolist(), strict=True)
         polarity.use(polarity.count)
     truth = [(wheel.first + i, t) for i, t in enumerate(wheel.rise_us) if t <= kept[-1]]
     if not got:

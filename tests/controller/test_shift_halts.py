@@ -58,8 +58,7 @@ def test_a_sleeve_that_would_meet_a_tooth_is_stopped_and_fired_again_from_where_
     box = kicked(kick, FAST_UP)
     box.face = lambda phase: met.append(phase) or False  # type: ignore[func-returns-value]
     fired_us = box.board.command(VALVE).time_us
-    last_us = box.sequence.sleeves.last_abort_us(MainGear.SECOND, fired_us)
-    assert last_us is not None
+    last_us = fired_us + box.sequence.sleeves.abort_after_us(MainGear.SECOND)
     box.until(State.HALTED, most=4)
     assert box.now_us <= last_us < box.now_us + 2 * TICK_US, "no step sooner than it has to"
     assert not box.board.command(VALVE).on
@@ -86,8 +85,7 @@ def test_of_any_tick_a_sleeve_is_stopped_after_the_last_read_by_which_it_can_be(
     the one after that read was waited for, which knows no more."""
     box = kicked(0.5, (7, input_rad_s, 9), tick_ms)
     fired_us = box.board.command(VALVE).time_us
-    last_us = box.sequence.sleeves.last_abort_us(MainGear.SECOND, fired_us)
-    assert last_us is not None
+    last_us = fired_us + box.sequence.sleeves.abort_after_us(MainGear.SECOND)
     box.until(State.HALTED, most=40)
     next_us = box.now_us + max(box.tick_us, READ_CYCLE_US)
     assert box.has_read

@@ -24,7 +24,7 @@ from meshpoint.controller.sleeve.cylinder import (
     TO_TURN,
     VENT,
 )
-from meshpoint.controller.sleeve.driven import Start, Switch, follow
+from meshpoint.controller.sleeve.driven import DrivenSleeve, Switch
 from meshpoint.controller.sleeve.law import SleeveLaw
 from meshpoint.gearbox import load_sheet
 
@@ -126,12 +126,10 @@ def learned(seed: int) -> Vector:
 
 def carried(one: Vector, switches: list[Switch], ending: int, level_m: float) -> tuple[float, ...]:
     """When it comes by the level (s), and the furthest that it gets (m)."""
-    start = Start(0, LAW_OF_SHEET.at_rest(0.0), is_rest=True)
+    sleeve = DrivenSleeve(LAW_OF_SHEET, LAW_OF_SHEET.prior(SHEET))
+    sleeve.supply_pa = SUPPLY_PA
     rows = np.hstack([one, np.zeros(len(switches))])[np.newaxis]
-    found = follow(
-        LAW_OF_SHEET, rows, SUPPLY_PA, start, switches,
-        ending=ending, until_us=300_000.0, level_m=level_m,
-    )  # fmt: skip
+    found = sleeve.ways(rows, switches, ending=ending, until_us=300_000.0, level_m=level_m)
     return float(found.of("crossed_s")[0]), float(found.of("furthest_m")[0])
 
 

@@ -55,16 +55,15 @@ def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_the
     vent."""
     sleeves, side = Sleeves(SHEET), SLEEVE_OF_MAIN[gear]
     at(sleeves, NOW_US)
-    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    sleeves.expected(SLEEVE_VALVE[gear], [(FIRE_US, True)])
     at(sleeves, FIRE_US)
-    abort_us = sleeves.last_abort_us(gear, FIRE_US)
-    assert abort_us is not None
+    abort_us = FIRE_US + sleeves.abort_after_us(gear)
     assert FIRE_US + 1e6 * SHEET.sleeve.valve_delay_s < abort_us
     halt = sleeves.abort(gear, abort_us)
-    sleeves.commanded(SLEEVE_VALVE[gear], False, abort_us)
-    sleeves.commanded(OPPOSITE[gear], True, abort_us)
+    sleeves.expected(SLEEVE_VALVE[gear], [(abort_us, False)])
+    sleeves.expected(OPPOSITE[gear], [(abort_us, True)])
     at(sleeves, abort_us)
-    sleeves.commanded(OPPOSITE[gear], False, halt.off_us)
+    sleeves.expected(OPPOSITE[gear], [(halt.off_us, False)])
     stands = sleeves.place(side.sleeve, halt.off_us + 100_000)
     assert not stands.is_moving
     assert stands.m == pytest.approx(halt.m, abs=1e-4)
@@ -81,12 +80,11 @@ def test_a_sleeve_aborted_in_time_stands_short_of_the_teeth_and_goes_on_from_the
 def test_what_is_commanded_anew_replaces_what_was_still_to_come() -> None:
     sleeves, gear = Sleeves(SHEET), MainGear.FIRST
     at(sleeves, NOW_US)
-    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
-    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US + 5_000)
+    sleeves.expected(SLEEVE_VALVE[gear], [(FIRE_US, True)])
+    sleeves.expected(SLEEVE_VALVE[gear], [(FIRE_US + 5_000, True)])
     sleeve = SLEEVE_OF_MAIN[gear].sleeve
     assert not sleeves.place(sleeve, FIRE_US + 15_000).is_moving
-    sleeves.withdrawn(SLEEVE_VALVE[gear], NOW_US)
-    assert not sleeves.place(sleeve, FIRE_US + 40_000).is_moving
+    assert sleeves.place(sleeve, FIRE_US + 40_000).is_moving
 
 
 def test_a_sleeve_in_neutral_needs_no_pulse() -> None:
@@ -99,9 +97,9 @@ def test_a_sleeve_that_flies_on_is_braked_and_not_sent_back() -> None:
     would set the sleeve going the other way."""
     sleeves, gear = Sleeves(SHEET), MainGear.SECOND
     at(sleeves, NOW_US)
-    sleeves.commanded(SLEEVE_VALVE[gear], True, FIRE_US)
+    sleeves.expected(SLEEVE_VALVE[gear], [(FIRE_US, True)])
     at(sleeves, FIRE_US)
-    sleeves.commanded(SLEEVE_VALVE[gear], False, FIRE_US + 25_000)
+    sleeves.expected(SLEEVE_VALVE[gear], [(FIRE_US + 25_000, False)])
     at(sleeves, FIRE_US + 28_000)
     braking = sleeves.to_neutral(SLEEVE_OF_MAIN[gear].sleeve, FIRE_US + 30_000)
     assert braking is not None
@@ -165,9 +163,9 @@ def test_a_push_to_neutral_is_bounded_by_what_was_withstood_from_there_or_nearer
     assert pushed_ms(sleeves, 320_000) == pytest.approx(first_ms[2.6], abs=0.01)
     standing_at(sleeves, view, 4.0, 300_000, 500_000)
     assert pushed_ms(sleeves, 520_000) == pytest.approx(first_ms[4.0], abs=0.01)
-    sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], True, 520_000)
+    sleeves.expected(SLEEVE_VALVE[MainGear.FIRST], [(520_000, True)])
     standing_at(sleeves, view, 4.0, 500_000, 530_000)
-    sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], False, 531_000)
+    sleeves.expected(SLEEVE_VALVE[MainGear.FIRST], [(531_000, False)])
     standing_at(sleeves, view, 4.0, 530_000, 900_000)
     assert pushed_ms(sleeves, 920_000) == pytest.approx(13.0, abs=0.01)
     standing_at(sleeves, view, 2.6, 900_000, 1_200_000)
@@ -188,9 +186,9 @@ def test_pushes_in_vain_between_teeth_grow_three_times_and_then_wait_for_empty_c
         assert (now_us - waited_us > 100_000) is (len(lengths_ms) > 3)
         lengths_ms.append(pushed_ms(sleeves, now_us))
         off_us = now_us + round(1e3 * lengths_ms[-1])
-        sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], True, now_us)
+        sleeves.expected(SLEEVE_VALVE[MainGear.FIRST], [(now_us, True)])
         standing_at(sleeves, view, 8.0, now_us, now_us + 10_000)
-        sleeves.commanded(SLEEVE_VALVE[MainGear.FIRST], False, off_us)
+        sleeves.expected(SLEEVE_VALVE[MainGear.FIRST], [(off_us, False)])
         standing_at(sleeves, view, 8.0, now_us + 10_000, now_us + 150_000)
         now_us += 150_000
     grows = [b - a for a, b in itertools.pairwise(lengths_ms)]

@@ -60,8 +60,7 @@ def test_a_learned_sleeve_is_stopped_short_of_the_teeth_and_goes_on_as_predicted
     bench.command(0, True, fire_us)
     while bench.now_us + 2_000 < fire_us:
         bench.step()
-    abort_us = bench.sleeves.last_abort_us(GEAR, fire_us)
-    assert abort_us is not None
+    abort_us = fire_us + bench.sleeves.abort_after_us(GEAR)
     while bench.now_us + 5_000 < abort_us:
         bench.step()
     halt = bench.sleeves.abort(GEAR, abort_us)
@@ -131,7 +130,7 @@ def test_a_contact_is_measured_of_a_sleeve_that_moves_otherwise_than_the_law_say
     sleeves, view = Sleeves(SHEET), GearboxView(SHEET)
     for newest_ms in range(10, 200, 10):
         if newest_ms == 90:
-            sleeves.commanded(VALVES[0], True, 100_000)
+            sleeves.expected(VALVES[0], [(100_000, True)])
         way_m = [8e-5 * max(0, newest_ms - back - 100) for back in range(10)]
         samples = tuple(min(way, 12e-3) for way in way_m)
         view.sleeves_main(SleevesMain(0, 0, samples, (0.0,) * 10), 1_000 * newest_ms)
@@ -144,9 +143,9 @@ def test_a_sleeve_that_is_held_fast_teaches_nothing() -> None:
     bench, _ = learned("narrow valve", 1, 1)
     known = bench.sleeves.records(), bench.sleeves.laws()
     fire_us = bench.now_us + 15_000
-    bench.sleeves.commanded(VALVES[0], True, fire_us)
+    bench.sleeves.expected(VALVES[0], [(fire_us, True)])
     bench.run(200_000)
-    bench.sleeves.commanded(VALVES[0], False, bench.now_us + 5_000)
+    bench.sleeves.expected(VALVES[0], [(bench.now_us + 5_000, False)])
     bench.run(400_000)
     assert (bench.sleeves.records(), bench.sleeves.laws()) == known
 
