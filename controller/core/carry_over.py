@@ -44,9 +44,7 @@ def restore(calibration: Calibration, observer: Observer, sleeves: Sleeves) -> N
     wheels = calibration.wheels
     recovery.restore(
         SavedReferences(
-            _pattern(wheels.layshaft),
-            _pattern(wheels.main),
-            calibration.references.offsets_rad,
+            _pattern(wheels.layshaft), _pattern(wheels.main), calibration.references.offsets_rad
         )
     )
 

@@ -34,11 +34,7 @@ from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import (
-    XCP_COMMAND_ID,
-    canonical,
-    torque_share,
-)
+from meshpoint.dbc.j1939 import XCP_COMMAND_ID, canonical, torque_share
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     EEC1,

@@ -165,10 +165,7 @@ class CrossingTracker(WheelTracker[LearningTask]):
         return Disturbance(self.noise[TORQUE].value, self.noise[MEMORY].value)
 
     def take_noise(
-        self,
-        shifts: int,
-        noise: Sequence[tuple[float, float]],
-        friction: tuple[float, float],
+        self, shifts: int, noise: Sequence[tuple[float, float]], friction: tuple[float, float]
     ) -> None:
         """Sets what earlier runs learned of `noise` and `friction`, the latter unless it is 0:
         value and standard deviation of each."""

@@ -31,11 +31,7 @@ from meshpoint.controller.settings.learned import BrakeRecord, NoiseRecord, Swin
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.edges import EDGES, EdgeMessages
 from meshpoint.dbc.j1939 import torque_share
-from meshpoint.dbc.messages import (
-    Estimator,
-    GearboxSensors,
-    ValveStatus,
-)
+from meshpoint.dbc.messages import Estimator, GearboxSensors, ValveStatus
 from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS
@@ -52,10 +48,7 @@ class Observer:
     """Estimates and measurements of the gearbox, updated at each step."""
 
     def __init__(
-        self,
-        sheet: GearboxSheet,
-        settings: ControllerSettings,
-        estimator: Estimator,
+        self, sheet: GearboxSheet, settings: ControllerSettings, estimator: Estimator
     ) -> None:
         wheels, tuning = sheet.wheels, settings.crossing_filter.of(sheet)
         self._sheet = sheet

@@ -335,10 +335,7 @@ class LockedGear:
     """What is seen of a gear in mesh whose phase is looked for."""
 
     def __init__(
-        self,
-        sheet: GearboxSheet,
-        references: PhaseReferences,
-        recovery: ReferenceRecovery | None,
+        self, sheet: GearboxSheet, references: PhaseReferences, recovery: ReferenceRecovery | None
     ) -> None:
         """recovery: what outlives lost tooth numbers; None for estimators that know no teeth."""
         self._sheet = sheet

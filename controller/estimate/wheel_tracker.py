@@ -272,11 +272,7 @@ class WheelTracker(ABC, Generic[Lesson]):
         """Whether it was the last one."""
 
     def _take(
-        self,
-        batch: EdgeBatch,
-        pressures: Pressures,
-        switches: Vector,
-        model: RecordMemory,
+        self, batch: EdgeBatch, pressures: Pressures, switches: Vector, model: RecordMemory
     ) -> None:
         teeth, place = self.teeth, self.teeth.place(batch)
         edges = self.placed = teeth.edges(batch, place)

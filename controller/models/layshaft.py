@@ -210,12 +210,7 @@ def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionM
 
 
 def ahead(
-    x: Vector,
-    p: Vector,
-    time_us: float,
-    to_us: float,
-    switches: Vector,
-    model: MotionModel,
+    x: Vector, p: Vector, time_us: float, to_us: float, switches: Vector, model: MotionModel
 ) -> LayshaftState:
     """The layshaft at another time, by a filter's state and covariance at this one."""
     x, p = x.copy(), p.copy()

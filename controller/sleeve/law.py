@@ -228,13 +228,7 @@ def slopes(of: Figures, at: Vector, base: float | Vector, moved_by: Sequence[int
     return rows.T
 
 
-def fit(
-    places: Figures,
-    seen_m: Vector,
-    prior: Prior,
-    begin: Vector,
-    iterations: int,
-) -> Fitted:
+def fit(places: Figures, seen_m: Vector, prior: Prior, begin: Vector, iterations: int) -> Fitted:
     """The most likely unknowns, from `begin` on. places: the readings (m) that unknowns give."""
     noise = SAMPLE_SD_M**2 * max(1.0, len(seen_m) / INDEPENDENT)
     mean, covariance = prior
