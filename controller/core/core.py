@@ -228,8 +228,7 @@ class ControllerCore:
             snapshot = self.snapshot = self._later(self.snapshot, now_us)
         else:
             snapshot, consumed = self._take_and_decide(now_us, events)
-        valves = self._board.message(snapshot.now_us)
-        frames = self._guarded.frames(valves, self._heard, now_us, snapshot, events)
+        frames = self._commands(now_us, snapshot, events)
         sequence = self._sequence
         changes, is_shifting = sequence.take_mesh_changes(), sequence.shift is not None
         self._observer.take_commands(sequence.brake, changes, is_shifting)
@@ -404,6 +403,10 @@ class ControllerCore:
             line = decision_line(plan, snapshot.now_us)
             events += [] if line is None else [line]
         self._decided = decided
+
+    def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
+        valves = self._board.message(snapshot.now_us)
+        return self._guarded.frames(valves, self._heard, now_us, snapshot, events)
 
     def _is_tick(self, now_us: int) -> bool:
         """Whether a step is a tick's, and not one between for the clock or for a valve."""

@@ -51,8 +51,8 @@ class CruiseTracker:
         self._tuning = tuning
         self._pitch_rad = pitch_rad
         self._filter = _Memory(CRUISE_FILTER)
-        self._filter.part("acceleration_rad_s2")[0] = tuning.acceleration_rad_s2
-        self._filter.part("edge_time_s")[0] = tuning.edge_time_us * US
+        self._filter.put(acceleration_rad_s2=tuning.acceleration_rad_s2)
+        self._filter.put(edge_time_s=tuning.edge_time_us * US)
         self._seed = WindowSpeed()
         self._running = False
 

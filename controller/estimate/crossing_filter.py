@@ -88,18 +88,12 @@ class FilterRun:
         """tooth_rad, gate_sd: as in `Filter`."""
         self._run, self._memory = kind.run, FilterMemory(kind.layout)
         self._model: RecordMemory | None = None
-        for name, value in (
-            ("noise_scale", 1.0),
-            ("edge_time_s", tuning.edge_time_s),
-            ("tooth_rad", tooth_rad),
-            ("pressure_sd_pa", tuning.pressure_sd_pa),
-            ("gate_sd", gate_sd),
-        ):
-            self._memory.part(name)[0] = value
+        self._memory.put(noise_scale=1.0, tooth_rad=tooth_rad, gate_sd=gate_sd)
+        self._memory.put(edge_time_s=tuning.edge_time_s, pressure_sd_pa=tuning.pressure_sd_pa)
 
     def set_edge_time(self, edge_time_s: float) -> None:
         """Standard deviation of an edge's time from now on."""
-        self._memory.part("edge_time_s")[0] = edge_time_s
+        self._memory.put(edge_time_s=edge_time_s)
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """Starts from a new state and covariance at a sensor time (us)."""
@@ -137,8 +131,7 @@ class CrossingFilter(FilterRun):
     def noise_adaptation(self, share: float) -> None:
         """How fast the process noise follows the innovations from now on, a share an edge; with 0
         it is the model's."""
-        memory = self._memory
-        memory.part("noise_adaptation")[0], memory.part("noise_scale")[0] = share, 1.0
+        self._memory.put(noise_adaptation=share, noise_scale=1.0)
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """Starts from a new state and covariance at a sensor time (us)."""

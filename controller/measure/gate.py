@@ -1,4 +1,5 @@
-"""The memory of the edge gate (`gate_kernels`), its tuning, and its search for the first tooth.
+"""What an edge is to a wheel's gate (`gate_kernels`): the gate's memory and tuning, how it judges
+an edge, and its search for the first tooth.
 
 On a wheel with missing teeth every tooth is a candidate for the first edge, until the steps seen
 since fit only one.
@@ -142,15 +143,9 @@ GATE: Final = layout_of(Gate)
 class GateMemory(RecordMemory):
     """A gate's memory, and those of its parts that are asked for often; all are views."""
 
-    def __init__(self) -> None:
-        super().__init__(GATE)
-
     def _name_parts(self) -> None:
-        self.mode, self.time_us, self.last = (
-            self.part("mode"),
-            self.part("time_us"),
-            self.part("last"),
-        )
+        self.mode, self.last = self.part("mode"), self.part("last")
+        self.time_us = self.part("time_us")
         self.given, self.used = self.part("given"), self.part("used")
         self.other_gaps = self.part("other_gaps")
         self.extra, self.lost = self.part("extra"), self.part("lost")
@@ -178,20 +173,83 @@ def new_gate(
 ) -> GateMemory:
     """The gate of a wheel not seen yet; the bounds are those of its acceleration, and of the one
     with which it may come to a stop; widest: its widest gap, pitches."""
-    memory = GateMemory()
-    values = {
-        "guess": UNKNOWN,
-        "widest": widest,
+    memory = GateMemory(GATE)
+    memory.put(
+        guess=UNKNOWN,
+        widest=widest,
         # At omega^2 = 6 a pitch it takes three pitches to stop.
-        "least_rate_per_us": np.sqrt(6.0 * stopping_rad_s2 / pitch_rad) * 1e-6,
-        "most_rate_per_us": MOST_RAD_S / pitch_rad * 1e-6,
-        "bend_per_us2": 0.5 * most_rad_s2 / pitch_rad * 1e-12,
-        "duty_share": duty_share,
-        "pitch_rad": pitch_rad,
-    }
-    for name, value in values.items():
-        memory.part(name)[0] = value
+        least_rate_per_us=np.sqrt(6.0 * stopping_rad_s2 / pitch_rad) * 1e-6,
+        most_rate_per_us=MOST_RAD_S / pitch_rad * 1e-6,
+        bend_per_us2=0.5 * most_rad_s2 / pitch_rad * 1e-12,
+        duty_share=duty_share,
+        pitch_rad=pitch_rad,
+    )
     return memory
+
+
+@inlined
+def error_at(gate: Gate, time_us: int, slot: int, share: float) -> float:
+    """Predicted distance of the wheel past a slot at a time, pitches."""
+    turned = gate.lag + (time_us - gate.time_us) * gate.rate_per_us
+    return float(turned + (gate.tooth - slot) + (gate.at - share))
+
+
+@inlined
+def judge(gate: Gate, advance: Integers, time_us: int, falling: int) -> int:
+    """What an edge is; its tooth into `slot`, its distance from there into `error`.
+
+    advance (n,): the first row of `teeth_of`."""
+    share = gate.duty if falling == 1 else 0.0
+    last = gate.last[falling]
+    slot = last + (advance[last % advance.size] if gate.mode == COUNTING else 1)
+    error = error_at(gate, time_us, slot, share)
+    expected = max((slot - gate.tooth) + (share - gate.at), 1.0)
+    gate.slot, gate.error = slot, error
+    if gate.dragged == 1:
+        return RIGHT
+    reach = IN_TURN if gate.rejected == 0 else AFTER_REJECTED
+    if advance.size > 1 and gate.scatter > CLEAN:
+        # Missing teeth show once a turn whether the count was right.
+        reach += WIDER * (gate.scatter - CLEAN) * expected
+    if error < -reach:
+        return WRONG
+    if error <= reach:
+        return RIGHT
+    return judge_late(gate, advance, time_us, falling)
+
+
+@inlined
+def judge_late(gate: Gate, advance: Integers, time_us: int, falling: int) -> int:
+    """The same for an edge that lies behind the next one due: some are missing before it."""
+    slot, share = gate.slot, gate.duty if falling == 1 else 0.0
+    passed = time_us - gate.time_us
+    turned = gate.lag + passed * gate.rate_per_us
+    expected = (slot - gate.tooth) + (share - gate.at)
+    gate.guess = slot if gate.mode == COUNTING and advance.size > 1 else gate.guess
+    longest = gate.widest if gate.mode == SEARCHING else expected
+    if passed * gate.least_rate_per_us > max(longest, 1.0):
+        return DOUBT if advance.size > 1 and gate.mode == COUNTING else GONE
+    hole = turned > max(expected, 0.0) + HOLE
+    if gate.mode == SEARCHING and hole:
+        return judge_gap(gate, advance, falling)
+    skipped = int(np.floor(gate.error + 0.5))
+    error = gate.error - skipped
+    unsure = abs(error) + gate.bend_per_us2 * passed * passed + RATE_ERROR * turned
+    clear = abs(error) < OUT_OF_TURN and unsure < 0.5
+    exists = advance[(slot + skipped) % advance.size] > 0 or gate.mode == SEARCHING
+    if not hole:
+        if not (clear and exists):
+            return WRONG
+    else:
+        clear = clear and exists and gate.rejected == 0 and skipped <= MOST_MISSING
+        if clear and advance.size > 1:
+            gate.guess = slot + skipped
+        if not clear or advance.size > 1:
+            return DOUBT
+    if gate.mode == COUNTING:
+        gate.missed += skipped
+    gate.slot, gate.error = slot + skipped, error
+    return RIGHT
 
 
 @inlined
@@ -216,6 +274,110 @@ def judge_gap(gate: Gate, advance: Integers, falling: int) -> int:
     gate.slot += nearest - 1
     gate.error -= nearest - 1
     return GAP
+
+
+@inlined
+def accept(gate: Gate, time_us: int, falling: int) -> None:
+    """Accepts the edge as that of the tooth in `slot`, and updates the filter."""
+    error, share = gate.error, gate.duty if falling == 1 else 0.0
+    turned = max((gate.slot - gate.tooth) + (share - gate.at), 0.5)
+    if gate.dragged == 1:
+        bounded = min(max(error, -MOST_DRAGGED), MOST_DRAGGED)
+        gate.rate_per_us *= turned / (turned + bounded)
+        gate.lag = 0.0
+    else:
+        bounded = min(max(error, -MOST_ERROR), MOST_ERROR)
+        gate.rate_per_us *= 1.0 - FOLLOW_RATE * bounded / turned
+        gate.lag = error * (1.0 - FOLLOW)
+    scatter = gate.scatter + SCATTER_SHARE * (abs(bounded) - gate.scatter)
+    gate.scatter = min(max(scatter, LEAST_SCATTER), MOST_SCATTER)
+    if falling == 1:
+        gate.duty += DUTY_SHARE * bounded
+    gate.interval_us[falling] = (time_us - gate.last_us[falling]) / max(
+        gate.slot - gate.last[falling], 1
+    )
+    gate.last_us[falling] = time_us
+    gate.time_us, gate.tooth, gate.at = time_us, gate.slot, share
+    gate.last[falling], gate.falling = gate.slot, falling
+    gate.rejected = 0
+
+
+@inlined
+def is_nearer(gate: Gate, next_us: int, falling: int) -> bool:
+    """Whether the next edge of the polarity is nearer to the slot than the one just judged."""
+    share = gate.duty if falling == 1 else 0.0
+    error = error_at(gate, next_us, gate.slot, share)
+    if gate.scatter > CLEAN and error - gate.error > TWO_TEETH:
+        return False
+    return bool(abs(error) + BETTER < abs(gate.error))
+
+
+@inlined
+def weigh_extra(
+    gate: Gate, advance: Integers, own_us: Integers, other_us: Integers, falling: int
+) -> int:
+    """Whether an edge out of its place is extra, or a true one of a shaft that has changed its
+    speed by more than was assumed: the two edges after it tell. NONE: wait for them.
+
+    It is extra where another is nearer to its slot, and the intervals are uneven with it or calm
+    without it. Otherwise the count is in doubt: `guess` has it as if the edge is true."""
+    at, others, slot = gate.used[falling], gate.given[1 - falling], gate.slot
+    time_us = own_us[at]
+    if at + 2 >= gate.given[falling]:
+        waited = others > 0 and other_us[others - 1] > time_us
+        behind = (other_us[others - 1] - time_us) * gate.rate_per_us if waited else 0.0
+        return WRONG if behind > LONGEST_WAIT + gate.widest else NONE
+    step = max(slot - gate.last[falling], 1)
+    next_step = after_step = 1
+    if gate.mode == COUNTING:
+        next_step = advance[slot % advance.size]
+        after_step = advance[(slot + next_step) % advance.size]
+    second = float(own_us[at + 1] - time_us)
+    third = float(own_us[at + 2] - own_us[at + 1])
+    first, joined = float(time_us - gate.last_us[falling]), own_us[at + 1] - gate.last_us[falling]
+    if min(first, second, third) <= 0.0 or next_step == 0 or after_step == 0:
+        return WRONG
+    first, joined, before = first / step, joined / step, gate.interval_us[falling]
+    extra = max(unlike(before, joined), unlike(joined, third / next_step))
+    second, third = second / next_step, third / after_step
+    true = max(unlike(before, first), unlike(first, second), unlike(second, third))
+    nearer = abs(gate.error + second * next_step * gate.rate_per_us) < abs(gate.error)
+    if nearer and (true >= EVEN or extra < min(true, CALM)):
+        return WRONG
+    if true < EVEN:
+        gate.rate_per_us = 1.0 / second
+    if gate.mode == SEARCHING:
+        return RIGHT if true < EVEN else WRONG
+    gate.guess = slot
+    return DOUBT
+
+
+@inlined
+def unlike(a: float, b: float) -> float:
+    """By which factor two lengths differ."""
+    return float(max(a / b, b / a))
+
+
+@inlined
+def weigh(gate: Gate, advance: Integers, own_us: Integers, other_us: Integers, falling: int) -> int:
+    """The verdict on a polarity's next edge, in view of the one after it; NONE: wait for that
+    one."""
+    at, others = gate.used[falling], gate.given[1 - falling]
+    time_us = own_us[at]
+    verdict = judge(gate, advance, time_us, falling)
+    if verdict == WRONG and gate.dragged == 0:
+        return weigh_extra(gate, advance, own_us, other_us, falling)
+    if verdict != RIGHT or gate.dragged == 1:
+        return verdict
+    if abs(gate.error) < SURE + SURE_SCATTERS * gate.scatter:
+        return verdict
+    if at + 1 < gate.given[falling]:
+        if is_nearer(gate, own_us[at + 1], falling):
+            return weigh_extra(gate, advance, own_us, other_us, falling)
+        return RIGHT
+    if others == 0 or (other_us[others - 1] - time_us) * gate.rate_per_us < LONGEST_WAIT:
+        return NONE
+    return RIGHT
 
 
 @inlined

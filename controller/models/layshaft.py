@@ -92,8 +92,7 @@ class MotionModel(RecordMemory):
     def changed(self, **fields: float | Vector) -> MotionModel:
         """The same motion with other values of these fields of `Model`."""
         other = copy.deepcopy(self)
-        for name, value in fields.items():
-            other.part(name)[...] = value
+        other.put(**fields)
         return other
 
 

@@ -99,7 +99,8 @@ class DrivenSleeve:
 
     def __init__(self, law: SleeveLaw, prior: Prior) -> None:
         self.law = law
-        self._known = prior
+        self.known = prior
+        """At the last rest."""
         self.learned: Vector = prior.mean
         self.supply_pa = law.sheet_pa
         """Gauge."""
@@ -112,14 +113,9 @@ class DrivenSleeve:
         self.switch_sd_s = [0.0, 0.0]
         """Scatter of each valve from switch to switch."""
 
-    @property
-    def known(self) -> Prior:
-        """What was known at the last rest."""
-        return self._known
-
     def at_rest(self, x_m: float) -> DrivenSleeve:
         """The same sleeve as it would be at rest there, without switches."""
-        other = DrivenSleeve(self.law, self._known)
+        other = DrivenSleeve(self.law, self.known)
         other.start, other.switch_sd_s = Start(0, self.law.at_rest(x_m), True), self.switch_sd_s
         other.supply_pa = self.supply_pa
         return other
@@ -174,7 +170,7 @@ class DrivenSleeve:
         """What is known of law and switches before anything is seen of a movement."""
         size = PARAMETERS + len(self.switches)
         mean, covariance = np.zeros(size), np.zeros((size, size))
-        mean[:PARAMETERS], covariance[:PARAMETERS, :PARAMETERS] = self._known
+        mean[:PARAMETERS], covariance[:PARAMETERS, :PARAMETERS] = self.known
         for k, one in enumerate(self.switches, PARAMETERS):
             covariance[k, k] = self.switch_sd_s[one.valve] ** 2
         return Prior(mean, covariance)

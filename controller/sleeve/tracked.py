@@ -120,7 +120,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def set_prior(self, known: Prior) -> None:
         """This is known from now on, and nothing of a movement."""
-        self._known = known
+        self.known = known
         self.version += 1
         self._forget_movement()
 
@@ -190,7 +190,7 @@ class TrackedSleeve(DrivenSleeve):
         state = self.law.at_rest(self.place_of(self.rest_m))
         if not self.start.is_rest:
             pressures = self.at(track.newest_us).state[2:4]
-            self.learned = self._known.mean
+            self.learned = self.known.mean
             if max(pressures) > self.law.atmosphere_pa + VENTED_PA:
                 state[2:4] = pressures
         is_vented = bool(max(state[2:4]) == self.law.atmosphere_pa)
@@ -323,7 +323,7 @@ class TrackedSleeve(DrivenSleeve):
             faded = (1.0 - FADES) * covariance + FADES * self._sheet.covariance
             faded[LEFT, :] = faded[:, LEFT] = mean[LEFT] = 0.0
             faded[LEFT, LEFT] = LEFT_SD**2
-            self._known = Prior(mean, faded)
+            self.known = Prior(mean, faded)
             self.version += 1
             self.movements += 1
         else:
@@ -416,7 +416,7 @@ class TrackedSleeve(DrivenSleeve):
 
     def _see_stop(self, reading_m: float, direction: int) -> None:
         """It stands at its stop in a gear: what the sensor shows there."""
-        mean, covariance = self._known.mean.copy(), self._known.covariance
+        mean, covariance = self.known.mean.copy(), self.known.covariance
         shown = _reading_m(mean, np.array([direction * self.law.stroke_m]))[0]
         slope = np.zeros(PARAMETERS)
         slope[OFFSET], slope[GAIN] = OFFSET_UNIT_M, direction * self.law.stroke_m

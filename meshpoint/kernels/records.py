@@ -112,6 +112,11 @@ class RecordMemory:
         view: NDArray[Any] = self._record[name]
         return view if view.ndim == 1 else view[0]
 
+    def put(self, **fields: Any) -> None:
+        """Sets these fields."""
+        for name, value in fields.items():
+            self.part(name)[...] = value
+
     def _name_parts(self) -> None:
         """Makes the views that are asked for often; called again for a copy."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.bus import outage_record
 from meshpoint.bus.core import Step
 from meshpoint.bus.outage_record import (
     OutageError,
@@ -16,7 +17,6 @@ from meshpoint.bus.outage_record import (
     record_name,
 )
 from meshpoint.bus.records import Records
-from meshpoint.controller.run import kept
 from meshpoint.dbc.frame import Frame
 
 HASH = 0xAB
@@ -87,8 +87,8 @@ def test_an_outage_is_kept_with_two_seconds_before_and_one_after(
 def test_a_second_outage_has_a_record_of_its_own_also_after_one_too_long_to_be_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert kept.MOST_STEPS == 2 * 3600 * 100, "two hours"
-    monkeypatch.setattr(kept, "MOST_STEPS", 250)
+    assert outage_record.MOST_STEPS == 2 * 3600 * 100, "two hours"
+    monkeypatch.setattr(outage_record, "MOST_STEPS", 250)
     run = Run(tmp_path).steps(200).steps(500, lost=1)
     assert run.numbers == list(range(250))
     run.steps(101).steps(1, lost=1).steps(200)
@@ -196,8 +196,8 @@ def test_a_record_that_is_no_text_or_too_long_is_refused(
     path.write_bytes(b"\xff\xfe\n")
     with pytest.raises(OutageError, match=path.name):
         load_outages(tmp_path, HASH)
-    assert kept.RECORD_LIMIT_BYTES == 200_000_000
+    assert outage_record.RECORD_LIMIT_BYTES == 200_000_000
     path.write_text("[3, 30, []]\n", encoding="utf-8")
-    monkeypatch.setattr(kept, "RECORD_LIMIT_BYTES", 5)
+    monkeypatch.setattr(outage_record, "RECORD_LIMIT_BYTES", 5)
     with pytest.raises(OutageError, match=path.name):
         load_outages(tmp_path, HASH)

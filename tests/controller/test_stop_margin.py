@@ -8,9 +8,9 @@ import pytest
 from drawn_sleeve import FACE, Cylinder, DrawnSleeve
 
 from meshpoint.controller.sleeve.cylinder import LAW, OFF, ON, PARAMETERS
-from meshpoint.controller.sleeve.driven import DrivenSleeve, Switch, valve_towards
+from meshpoint.controller.sleeve.driven import DrivenSleeve, valve_towards
 from meshpoint.controller.sleeve.law import Prior, SleeveLaw
-from meshpoint.controller.sleeve.stroke import latest_abort_us
+from meshpoint.controller.sleeve.stroke import latest_from_neutral_us
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")
@@ -18,7 +18,6 @@ DELAY_US = 12_000
 MARGIN_M, SDS, PULSE_US = 2e-4, 2.5, 14_000
 """A sleeve that is aborted, the opposite valve on for 14 ms, stays so far before the teeth with
 what is not known of it 2.5 standard deviations to the bad side."""
-CONTACT_US = int(1e6 * SHEET.sleeve.delay_s)
 FOUND_M, ALIKE_M = 2.2e-4, 3e-5
 """The last abort is found to within 0.25 ms, in which the sleeve gets so much further; the two
 integrations are alike to within the other."""
@@ -31,10 +30,7 @@ def last_us(direction: int, sd_ms: float, uncertain: int) -> int:
     known = Prior(law.prior(SHEET).mean, covariance)
     sleeve = DrivenSleeve(law, known).at_rest(0.0)
     sleeve.switch_sd_s = [0.0, 0.0]
-    fired = [Switch(0, valve_towards(direction), True)]
-    found = latest_abort_us(sleeve, direction, fired, 0, CONTACT_US)
-    assert found is not None
-    return found
+    return latest_from_neutral_us(sleeve, direction)
 
 
 def furthest_m(direction: int, abort_us: float, off_late_us: float, brake_late_us: float) -> float:
