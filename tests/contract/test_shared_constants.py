@@ -87,7 +87,6 @@ REASONS: Final = {
     "brake_trajectory.py: SENSOR_LAG": COUNT,
     "brake_trajectory.py: PLATES": COUNT,
     "tooth_fit.py: LEAST_EDGES": COUNT,
-    "outage_record.py: LONGEST_BYTES": COUNT,
     "gearbox_view.py: AHEAD_US": "chance: of the clutch; the rig's is the latest valve activation",
     "gearbox_view.py: LEAST_SAMPLES": COUNT,
     "layshaft.py: SWITCHES_KEPT": COUNT,
