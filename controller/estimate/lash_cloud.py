@@ -186,16 +186,9 @@ class BacklashParticleFilter:
         # Either the shaft swings so fast, or the vehicle's speed was wrong.
         speed_sd, hill_sd = self._lash.vehicle_sds
         speed_sd = math.hypot(speed_sd, speed - vehicle.speed_rad_s)
-        self._begin(
-            LashStart(
-                self.time_us,
-                angle,
-                speed,
-                vehicle.speed_rad_s,
-                vehicle.hill_rad_s2,
-                np.diag((speed_sd, hill_sd)),
-            )
-        )
+        root = np.diag((speed_sd, hill_sd))
+        of_vehicle = vehicle.speed_rad_s, vehicle.hill_rad_s2, root
+        self._begin(LashStart(self.time_us, angle, speed, *of_vehicle))
 
     @property
     def is_alive(self) -> bool:

@@ -287,21 +287,16 @@ class Observer:
             events.append(
                 f"sensor frames come over {JUMP_US // 1000} ms late: bus or machine overloaded"
             )
-        jumps, layshaft, main = (
-            self.clock.jumps,
-            self._layshaft_wheel.broken,
-            self._main_wheel.broken,
-        )
-        if (jumps, layshaft, main) == self._lost:
+        before = self._lost
+        if self._losses == before:
             return False
-        jumped = jumps != self._lost[0]
+        jumped = self.clock.jumps != before[0]
         if jumped:
             self._layshaft_wheel.restart()
             self._main_wheel.restart()
             events.append("sensor clock jumped: teeth and phases start anew")
-        _, layshaft, main = self._lost
-        self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
-        lost = (self._lost[1] != layshaft, self._lost[2] != main)
+        self._lost = self._losses
+        lost = (self._lost[1] != before[1], self._lost[2] != before[2])
         if self.recovery is not None:
             self.recovery.lost(*lost)
         self.references.lose_all()
@@ -312,6 +307,11 @@ class Observer:
                 tracker.lose_speed()
         events.append("tooth numbers lost: phase references unknown again")
         return jumped
+
+    @property
+    def _losses(self) -> tuple[int, int, int]:
+        """How often the clock has jumped, and either wheel has lost its numbers."""
+        return self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken
 
     @property
     def _is_free(self) -> bool:

@@ -84,15 +84,12 @@ class _Wheel:
 
     def saved(self) -> ToothPattern | None:
         """Its pattern in the remembered numbering."""
-        teeth, memory = self.teeth, self.teeth.memory
-        if self.shift is None and memory is not None:
-            return ToothPattern(
-                np.roll(memory.error_rad, 2 * self.base), memory.sd_rad, memory.edges
-            )
-        if not teeth.learned:
-            return memory
-        turned = np.roll(teeth.error_rad, 2 * (self.shift or 0))
-        return ToothPattern(turned, teeth.sd_rad, teeth.edges_seen)
+        pattern, teeth = self.teeth.pattern, (self.shift or 0) if self.teeth.learned else 0
+        if self.shift is None and self.teeth.memory is not None:
+            pattern, teeth = self.teeth.memory, self.base
+        if pattern is None:
+            return None
+        return pattern._replace(error_rad=np.roll(pattern.error_rad, 2 * teeth))
 
 
 class ReferenceRecovery:
@@ -317,18 +314,11 @@ class ReferenceRecovery:
         again, else the present one."""
         if not self._pending:
             both = all(wheel.teeth.learned for wheel in self._wheels)
-            layshaft, main = (_now(wheel.teeth) for wheel in self._wheels)
+            layshaft, main = (wheel.teeth.pattern for wheel in self._wheels)
             return SavedReferences(layshaft, main, self._in_present_numbering() if both else {})
         layshaft, main = (wheel.saved() for wheel in self._wheels)
         whole = layshaft is not None and main is not None
         return SavedReferences(layshaft, main, self._without_waiting() if whole else {})
-
-
-def _now(teeth: WheelTeeth) -> ToothPattern | None:
-    """A wheel's pattern in the present numbering; its remembered one if none has been learned."""
-    if teeth.learned:
-        return ToothPattern(teeth.error_rad, teeth.sd_rad, teeth.edges_seen)
-    return teeth.memory
 
 
 class LockedGear:

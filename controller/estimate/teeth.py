@@ -253,6 +253,13 @@ class WheelTeeth:
         """Teeth of the wheel, missing ones included."""
         return self._edges // 2
 
+    @property
+    def pattern(self) -> ToothPattern | None:
+        """The learned pattern; the remembered one where none has been learned."""
+        if self.learned:
+            return ToothPattern(self.error_rad, self.sd_rad, self.edges_seen)
+        return self.memory
+
     def place(self, batch: EdgeBatch) -> Integers:
         """Which of the wheel's edges each one is. Asked several times of a step's edges."""
         if batch is not self._placed[0]:
@@ -310,8 +317,7 @@ class WheelTeeth:
 
     def lose_numbers(self) -> None:
         """The tooth numbers are lost; the learned pattern becomes the memory."""
-        if self.learned:
-            self.memory = ToothPattern(self.error_rad, self.sd_rad, self.edges_seen)
+        self.memory = self.pattern
         self._clear()
 
     def forget(self) -> None:
