@@ -46,6 +46,10 @@ class PhaseReference(IntEnum):
     UNKNOWN = 0
     KNOWN = 1
 
+class Engagement(IntEnum):
+    MAIN_GEAR = 0
+    SPLITTER = 1
+
 class ReferenceSource(IntEnum):
     NONE = 0
     MEASURED = 1
@@ -1006,6 +1010,10 @@ class ShiftOutcome(NamedTuple):
 
     reference: PhaseReference = ...
     """Whether the phase reference was known when the sleeve was fired."""
+
+    engagement: Engagement = ...
+    """Whose dog teeth attempts, times, phase and slip are of: the main gear's, or the splitter's
+    where it alone was to change."""
 
     result: ShiftResult = ...
     """How it ended."""

@@ -29,6 +29,7 @@ from meshpoint.results.wilson import wilson
 from meshpoint.rig_sim.settings import Profile
 
 COLUMNS: Final = ("figure", "unit", "reported", "covered", "half interval", "error", "data sheet's")
+DOG: Final = "truck12-dog"
 CHECKS: Final = ("kept out", "unit", "identified", "data sheet")
 
 
@@ -39,6 +40,8 @@ class Settings:
     gearbox: str = text("gearbox", *SHEET_NAMES)
     """The data sheet that they are drawn around, whatever the other studies' is."""
     gearboxes: int = count("gearboxes", 1, 10_000)
+    dog_gearboxes: int = count("dog_gearboxes", 0, 10_000)
+    """And of `truck12-dog`, for its splitter's figures."""
     shifts: int = count("shifts", 6, 1000)
     """In the log of each."""
     profile: str = text("profile", *Profile)
@@ -49,10 +52,11 @@ class Settings:
 
 
 def _jobs(given: Given[Settings]) -> tuple[IdentifyRun, ...]:
-    own, sheet = given.own, load_sheet(given.own.gearbox)
+    own, seed = given.own, given.common.seed
     return tuple(
-        IdentifyRun(sheet, given.common.seed + number, own.shifts, Profile(own.profile))
-        for number in range(own.gearboxes)
+        IdentifyRun(load_sheet(name), seed + number, own.shifts, Profile(own.profile))
+        for name, boxes in ((own.gearbox, own.gearboxes), (DOG, own.dog_gearboxes))
+        for number in range(boxes)
     )
 
 

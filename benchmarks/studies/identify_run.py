@@ -13,8 +13,8 @@ from meshpoint.bench.bench import plan_shifts
 from meshpoint.campaigns.draw import LAYSHAFT_RPM, draw, upshifts
 from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
-from meshpoint.gearbox import GearboxSheet, MainGear, Split
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
+from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.gearbox.gears import DRIVE_GEARS, SIDE_OF, DogGear
 from meshpoint.gearbox.wheels import Wheel
 from meshpoint.identify.identified import Identified
 from meshpoint.identify.identify import identify
@@ -25,7 +25,7 @@ from meshpoint.kernels.records import Vector
 from meshpoint.rig_sim.parts.drag import thickening
 from meshpoint.rig_sim.parts.pneumatics import choked_rate, flow_share
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN
+from meshpoint.rig_sim.shared.engagement import VALVE_OF_DOG
 from meshpoint.rig_sim.truck.as_built import AsBuilt, as_built_sheet, draw_as_built
 from meshpoint.rig_sim.truck.constants import CELSIUS, FADE_FROM_C
 from meshpoint.rig_sim.truck.delays import TruckDelays
@@ -80,7 +80,7 @@ class IdentifyRun:
             self.seed, self.sheet, Preset.TRUCK, upshifts(), self.shifts + 1, {}, self.profile
         )
         rng = np.random.Generator(np.random.PCG64([self.seed, SHIFTS_STREAM]))
-        pairs = list(upshifts())
+        pairs = _pairs(self.sheet)
         rounds = math.ceil((self.shifts + 1) / len(pairs))
         order = [pairs[k] for _ in range(rounds) for k in rng.permutation(len(pairs))]
         speeds = rng.uniform(*LAYSHAFT_RPM, self.shifts + 1) * RPM
@@ -107,6 +107,18 @@ class IdentifyRun:
             tuple(truth.edges(name, fitted) for name, fitted in found.teeth.items()),
             tuple((one.name, one.unit, one.identified, one.by_sheet) for one in found.held_out),
         )
+
+
+def _pairs(sheet: GearboxSheet) -> list[tuple[int, int]]:
+    """Upshifts of the main box; of a splitter with dog teeth both steps, too."""
+    pairs = list(upshifts())
+    if sheet.has_dog_splitter:
+        places = {(gear.main, gear.split, gear.range_): gear for gear in DRIVE_GEARS.values()}
+        pairs += [
+            (old.number, places[old.main, Split(1 - old.split), old.range_].number)
+            for old in DRIVE_GEARS.values()
+        ]
+    return pairs
 
 
 class _Truth:
@@ -209,7 +221,7 @@ class _Truth:
         found, variances = {}, []
         for gear in fitted.delays_s:
             late = np.array(self._stuck_s(gear))
-            mean_s = valves.mean_s(VALVE_OF_MAIN[gear], on=True)
+            mean_s = valves.mean_s(VALVE_OF_DOG[gear], on=True)
             mean_s += valves.stroke_s(gear, supply_pa)
             found[f"sleeve delay {gear.name.lower()}"] = (mean_s + float(late.mean())) / MS
             variances += [float(late.var())] * late.size
@@ -220,20 +232,21 @@ class _Truth:
     def _valves_ms(self) -> dict[str, float]:
         """From a coil to its spool, without chance and without what a long rest adds."""
         return {
-            f"sleeve valve {gear.name.lower()} {name} delay": self._valves.mean_s(valve, on) / MS
-            for gear, valve in VALVE_OF_MAIN.items()
+            f"sleeve valve {gear.name.lower()} {name} delay": self._valves.mean_s(
+                VALVE_OF_DOG[gear], on
+            )
+            / MS
+            for gear in self._sheet.dog_gears
             for on, name in ((True, "on"), (False, "off"))
         }
 
-    def _stuck_s(self, gear: MainGear) -> list[float]:
+    def _stuck_s(self, gear: DogGear) -> list[float]:
         """What the rest of its valve before each stroke into a gear added; the log shows the
         sleeve's, which is taken for it."""
         most_s, tau_s = self._built["sleeve.stiction_ms"] * MS, self._built["sleeve.stiction_s"]
-        sleeve = SLEEVE_OF_MAIN[gear].sleeve
-        fired: list[tuple[MainGear, int]] = [
-            (at, one.fired_us)
-            for at, one in self._content.contacts
-            if SLEEVE_OF_MAIN[at].sleeve is sleeve
+        sleeve = SIDE_OF[gear].sleeve
+        fired: list[tuple[DogGear, int]] = [
+            (at, one.fired_us) for at, one in self._content.contacts if SIDE_OF[at].sleeve is sleeve
         ]
         before_us = [None, *(fired_us for _, fired_us in fired)]
         rests = [

@@ -40,6 +40,7 @@ class Aim(NamedTuple):
     from_: int = 8
     to: int = 10
     settings: tuple[tuple[str, float], ...] = ()
+    dog_splitter: bool = False
 
     def world(self, seed: int) -> World:
         """The world of it."""
@@ -48,7 +49,8 @@ class Aim(NamedTuple):
                    for s in self.strikes]  # fmt: skip
         layshaft_rpm = UP_RPM if self.to > self.from_ else DOWN_RPM
         events.sort()
-        return World(seed, self.from_, layshaft_rpm, dict(self.settings), tuple(events), SAFETY_MS)
+        settings, has_dog = dict(self.settings), self.dog_splitter
+        return World(seed, self.from_, layshaft_rpm, settings, tuple(events), SAFETY_MS, has_dog)
 
 
 def _deaf(state: str) -> tuple[Strike, ...]:
@@ -79,6 +81,8 @@ def _brought_in(state: str, position_mm: float) -> Strike:
 BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
 """The other sleeve seems to stand between two gears."""
 JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
+DOG_JAMMED: Final = (Strike("", "sleeve_jammed", 2, 0.0, 4_000, at_ms=ASKED_MS + 450),)
+"""Between its steps, out of the old one: what a splitter with dog teeth does for the longest."""
 AT_ONCE: Final = (("limits.blocks", 1.0),)
 """The first block of the guard ends the shift."""
 PULLED: Final = Strike("", "mad_pull_under_torque", for_ms=1_000, at_ms=300)
@@ -93,6 +97,9 @@ AIMS: Final = (
     Aim("splitter_changing+gear_unknown", _deaf("splitter_changing"), 8, 7),
     Aim("splitter_changing+gave_up", _unlinked("splitter_changing"), 8, 7),
     Aim("splitter_failed", (Strike("clutch_opening", "sleeve_jammed", 2, 0.0, 4_000),), 8, 7),
+    Aim("splitter_failed", DOG_JAMMED, 8, 7, dog_splitter=True),
+    Aim("splitter_changing+leg_done", (), 9, 8, dog_splitter=True),
+    Aim("engaging+leg_done", (), 8, 9, dog_splitter=True),
     Aim("range_failed", (Strike("clutch_opening", "sleeve_jammed", 3, 0.0, 4_000),), 6, 8),
     Aim("steps_changing+gear_unknown", _deaf("steps_changing"), 6, 8),
     Aim("steps_changing+gave_up", _unlinked("steps_changing"), 6, 8),
@@ -129,8 +136,10 @@ def mad_world(seed: int, name: str) -> World:
     deed = DEEDS[name]
     events = [Event(0 if deed.begins is None else MAD_MS, name, 0, 0.0, MAD_FOR_MS)]
     if deed.begins not in (None, ControllerState.IN_GEAR):
-        events.append(Event(ASKED_MS, REQUEST, 0, 10.0))
-    return World(seed, deed.start_gear, deed.layshaft_rpm, {}, tuple(events), SAFETY_MS)
+        events.append(Event(ASKED_MS, REQUEST, 0, float(deed.asks)))
+    return World(
+        seed, deed.start_gear, deed.layshaft_rpm, {}, tuple(events), SAFETY_MS, deed.dog_splitter
+    )
 
 
 def aimed_world(seed: int, number: int) -> World | None:

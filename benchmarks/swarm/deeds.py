@@ -47,6 +47,10 @@ class Deed:
     """How wrong the clock is that its commands are timed by."""
     layshaft_rpm: float = 1400.0
     start_gear: int = 8
+    asks: int = 10
+    """For this gear, where it waits for a shift's state."""
+    dog_splitter: bool = False
+    """Whether the splitter that it drives has dog teeth."""
 
 
 def _drive(
@@ -132,6 +136,22 @@ DEEDS: Final[dict[str, Deed]] = {
         20, _drive(V.SPLIT_LOW, after_us=900_000), begins=NEUTRAL,
         fault=_fault(RigFault.POSITION_OFFSET, 0, 3.0, 2500),
     ),
+    "mad_split_and_main": Deed(
+        2, _drive(V.SPLIT_LOW, V.MAIN_CRAWL, after_us=0), begins=State.SPLITTER_CHANGING,
+        start_gear=8, dog_splitter=True, asks=7,
+    ),
+    "mad_split_slip": Deed(3, _drive(V.SPLIT_LOW), dog_splitter=True),
+    "mad_split_unknown_speed": Deed(
+        4, _drive(V.SPLIT_LOW, after_us=120_000), begins=State.SPLITTER_CHANGING,
+        fault=_fault(RigFault.HALL_DROPOUT, 0, 0.0, 1000), dog_splitter=True, asks=7,
+    ),
+    "mad_split_too_fast": Deed(
+        9, _drive(V.SPLIT_LOW), layshaft_rpm=2300.0, start_gear=12, dog_splitter=True
+    ),
+    "mad_split_under_torque": Deed(
+        10, _drive(V.SPLIT_LOW, clutch=CLOSE), begins=State.CLUTCH_OPENING, dog_splitter=True
+    ),
+    "mad_split_swinging": Deed(0, _swing, dog_splitter=True),
     "mad_to_and_fro": Deed(3, _to_and_fro, begins=NEUTRAL),
     "mad_random": Deed(0, _random, begins=None),
 }  # fmt: skip

@@ -25,6 +25,9 @@ FIRST_MS: Final = 300
 MOST_FAULTS: Final = 5
 DEED_SHARE: Final = 0.35
 TIGHT_SHARE: Final = 0.15
+DOG_SHARE: Final = 0.3
+"""Of the worlds, have a splitter with dog teeth."""
+DOG_STREAM: Final = 0xD06
 IMPOSSIBLE_GEAR: Final = 15
 WILD_SHARE: Final = 0.1
 TIGHT: Final[tuple[tuple[str, float], ...]] = (
@@ -67,6 +70,7 @@ def draw_world(seed: int) -> World:
     rng = np.random.Generator(np.random.PCG64([seed, 0x5A4A]))
     safety_ms = int(rng.integers(6_000, 14_000))
     events = _faults(rng, safety_ms)
+    has_dog = np.random.Generator(np.random.PCG64([seed, DOG_STREAM])).random() < DOG_SHARE
     start_gear, layshaft_rpm = int(rng.choice([5, 6, 7, 8, 9, 10])), float(rng.uniform(900, 1600))
     if rng.random() < DEED_SHARE:
         name = str(rng.choice(list(DEEDS)))
@@ -74,12 +78,15 @@ def draw_world(seed: int) -> World:
         at_ms = 0 if deed.begins is None else int(rng.integers(FIRST_MS, safety_ms // 2))
         events.append(Event(at_ms, name, 0, 0.0, int(rng.integers(400, 4_500))))
         start_gear, layshaft_rpm = deed.start_gear, deed.layshaft_rpm
+        has_dog = deed.dog_splitter
     settings = {}
     if rng.random() < TIGHT_SHARE:
         name, value = TIGHT[int(rng.integers(len(TIGHT)))]
         settings[name] = value
     events += _requests(rng, start_gear, safety_ms)
-    return World(seed, start_gear, layshaft_rpm, settings, tuple(sorted(events)), safety_ms)
+    return World(
+        seed, start_gear, layshaft_rpm, settings, tuple(sorted(events)), safety_ms, has_dog
+    )
 
 
 def _faults(rng: np.random.Generator, safety_ms: int) -> list[Event]:

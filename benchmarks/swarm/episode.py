@@ -104,6 +104,9 @@ class Episode:
         profile: Profile = DEFAULT_PROFILE,
         as_built: Mapping[str, float] | None = None,
     ) -> None:
+        if world.dog_splitter:
+            splitter = dataclasses.replace(sheet.splitter, engagement="dog")
+            sheet = dataclasses.replace(sheet, splitter=splitter)
         self._sheet, self.world = sheet, world
         self._reached = Reached()
         self.broken: list[Broken] = []

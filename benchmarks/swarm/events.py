@@ -84,6 +84,8 @@ class World:
     events: tuple[Event, ...] = ()
     safety_ms: int = 10_000
     """How long anything may fail; then faults end, and shifts must come back."""
+    dog_splitter: bool = False
+    """Whether its splitter has dog teeth, whatever the swarm's sheet says: `truck12-dog`."""
 
     def to_json(self) -> dict[str, Any]:
         """As the scenario file has it."""
@@ -93,6 +95,7 @@ class World:
             "layshaft_rpm": self.layshaft_rpm,
             "settings": dict(self.settings),
             "safety_ms": self.safety_ms,
+            "dog_splitter": self.dog_splitter,
             "events": [event._asdict() for event in self.events],
         }
 
@@ -124,6 +127,7 @@ def _world(values: dict[str, Any]) -> World:
         settings=settings,
         events=tuple(sorted(_event(entry) for entry in entries)),
         safety_ms=int(_number(values, "safety_ms", 0, LONGEST_MS)),
+        dog_splitter=values.get("dog_splitter") is True,
     )
 
 

@@ -1,8 +1,8 @@
 """Every fault of the list as a scenario of its own: who finds it, when, and what comes of it.
 
-A shift from gear 8 to 10 (or the one named) of the gearbox truck12 meets the fault at a moment, by
-the controller's state. Detected: from the fault's begin to the first word about it on the bus or in
-the node's log: a fault code, a block of the guard, a counter, a line.
+A shift from gear 8 to 10 (or the one named) of the gearbox truck12, or truck12-dog, meets the fault
+at a moment, by the controller's state. Detected: from the fault's begin to the first word about it
+on the bus or in the node's log: a fault code, a block of the guard, a counter, a line.
 """
 
 from __future__ import annotations
@@ -45,6 +45,10 @@ class Named(NamedTuple):
     to: int = 10
     asked_ms: int = STRIKES_AFTER_MS
     """When the shift is asked for."""
+    dog_splitter: bool = False
+    """Whether it is of `truck12-dog`."""
+    after_ms: int = 0
+    """So long after the state was entered it strikes."""
 
 
 _N = Named
@@ -66,6 +70,9 @@ NAMED: Final = (
     _N("sleeve_heavy", 0, 100.0, state=State.COASTING),
     _N("supply_drop", 0, 4.0),
     _N("sleeve_jammed", 0, state=State.COASTING), _N("position_offset", 1, 3.0),
+    _N("sleeve_jammed", 2, state=State.SPLITTER_CHANGING, from_=8, to=7),
+    *(_N("sleeve_jammed", 2, for_ms=4_000, state=State.SPLITTER_CHANGING, from_=8, to=7,
+         dog_splitter=True, after_ms=ms) for ms in (0, 300)),
     _N("position_frozen", 0, state=State.COASTING), _N("frozen_payload", 0),
     _N("frozen_payload", 1), _N("brake_fade", 0, 0.0),
     _N("clutch_stuck", state=State.CLUTCH_OPENING),
@@ -100,7 +107,7 @@ class _Scene(Episode):
     def __init__(self, named: Named) -> None:
         events = (Event(named.asked_ms, REQUEST, 0, float(named.to)),)
         layshaft_rpm = 1400.0 if named.to > named.from_ else 1100.0
-        world = World(SEED, named.from_, layshaft_rpm, {}, events, SAFETY_MS)
+        world = World(SEED, named.from_, layshaft_rpm, {}, events, SAFETY_MS, named.dog_splitter)
         super().__init__(load_sheet("truck12"), ControllerSettings(), world)
         self.named = named
         self.struck_us: int | None = None
@@ -108,13 +115,19 @@ class _Scene(Episode):
         self.result = "no shift"
         self._event = Event(0, named.kind, int(named.target), named.value, named.for_ms)
         self._until_us: int | None = None
+        self._entered_us: int | None = None
 
     def _after_controller(self, now_us: int) -> None:
         core = self._controller
         row = core.rows[0] if core.rows else None
         super()._after_controller(now_us)
         if self.struck_us is None and self.world.safety_ms * 1000 > now_us:
-            is_time = core.state is self.named.state
+            if core.state is not self.named.state:
+                self._entered_us = None
+            elif self._entered_us is None:
+                self._entered_us = now_us
+            entered_us, after_us = self._entered_us, self.named.after_ms * 1000
+            is_time = entered_us is not None and now_us - entered_us >= after_us
             if is_time and now_us > STRIKES_AFTER_MS * 1000:
                 self.struck_us = now_us
                 self._until_us = now_us + self.named.for_ms * 1000
@@ -188,6 +201,8 @@ def table_row(outcome: Outcome) -> str:
     value = f" {named.value:g}" if named.value else ""
     name = f"`{named.kind} {int(named.target)}{value}`"
     state = named.state.name.lower()
+    state += f", {named.after_ms} ms later" if named.after_ms else ""
+    name += ", dog teeth" if named.dog_splitter else ""
     return f"| {name} | {what(named)} | {state} | {found} | {outcome.by} | {outcome.result} |"
 
 

@@ -134,11 +134,12 @@ def outcome(shift: ShiftRecord, pitch_rad: float) -> ShiftOutcome:
         to_gear=shift.to_number,
         strategy=shift.strategy,
         reference=PhaseReference.KNOWN if known else PhaseReference.UNKNOWN,
+        engagement=shift.engagement,
         result=shift.result,
-        attempts=shift.attempts,
+        attempts=shift.firings,
         fault=shift.fault,
         request_time_us=wrap(shift.request_us),
-        fire_time_us=wrap(plan.fire_us if plan else shift.first_fire_us or 0),
+        fire_time_us=wrap(shift.fired_us),
         predicted_contact_time_us=wrap(plan.contact_us if plan else 0),
         measured_contact_time_us=wrap(shift.measured_contact_us or 0),
         end_time_us=wrap(shift.end_us or 0),
@@ -213,7 +214,7 @@ def outcome_line(shift: ShiftRecord) -> str:
     aborted = f", {shift.aborts} aborted" if shift.aborts else ""
     return (
         f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
-        f", {shift.attempts} fired{aborted}, fault {shift.fault.name.lower()}"
+        f", {shift.firings} fired{aborted}, fault {shift.fault.name.lower()}"
     )
 
 

@@ -11,7 +11,7 @@ from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
+from meshpoint.dbc.messages import ClutchAction, Engagement, FaultCode, ShiftResult
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
@@ -21,14 +21,20 @@ def next_leg(sheet: GearboxSheet, view: GearboxView, goal: DriveGear) -> DriveGe
     main box both have to change. Out of neutral the main box's change comes first, in the step that
     is in: nothing else turns the layshaft."""
     main, split, range_ = view.main_gear, view.split, view.range_
-    changes_main = (main, range_) != (goal.main, goal.range_)
-    if not (sheet.has_dog_splitter and changes_main) or split is goal.split:
+    stays = engagement(sheet, view, goal) is Engagement.SPLITTER
+    if stays or not sheet.has_dog_splitter or split is goal.split:
         return goal
     wanted = (goal.main, split, goal.range_)
     if main is not MainGear.NEUTRAL and split is not Split.HIGH:
         wanted = (main, Split.HIGH, range_)  # type: ignore[assignment]
     found = (g for g in DRIVE_GEARS.values() if (g.main, g.split, g.range_) == wanted)
     return next(found, goal)
+
+
+def engagement(sheet: GearboxSheet, view: GearboxView, goal: DriveGear) -> Engagement:
+    """Whose dog teeth meet on the way to a gear: the main gear's, unless its own are in already."""
+    stays = (view.main_gear, view.range_) == (goal.main, goal.range_)
+    return Engagement.SPLITTER if sheet.has_dog_splitter and stays else Engagement.MAIN_GEAR
 
 
 def set_goal(context: ShiftContext, goal: DriveGear, snapshot: StepSnapshot) -> None:

@@ -28,8 +28,8 @@ from meshpoint.controller.shift.disengage import (
 from meshpoint.controller.shift.engage import CALLS, engage, hold, recall, retract, strikes_first
 from meshpoint.controller.shift.engine import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
-from meshpoint.controller.shift.legs import leg_done, next_leg, set_goal
-from meshpoint.controller.shift.splitter import is_between
+from meshpoint.controller.shift.legs import engagement, leg_done, next_leg, set_goal
+from meshpoint.controller.shift.splitter import has_not_moved, is_between
 from meshpoint.controller.shift.step_snapshot import FREE_STATES, MISSING, StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
 from meshpoint.controller.shift.table import (
@@ -39,7 +39,7 @@ from meshpoint.controller.shift.table import (
     ShiftRecord,
     Trigger,
 )
-from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
+from meshpoint.dbc.messages import ClutchAction, Engagement, FaultCode, ShiftResult, Strategy
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, MainGear, Sleeve
 from meshpoint.gearbox.gears import DRIVE_GEARS
@@ -262,6 +262,8 @@ class ShiftSequence(ShiftContext):
                 self._go(too_slow(self, snapshot), snapshot)
                 return
             fault = FAULT_OF_ROW.get(row, FaultCode.GUARD_BLOCKED)
+            if self.state is State.SPLITTER_CHANGING and has_not_moved(self, snapshot):
+                fault = FaultCode.SPLITTER_FAILED
             self._go(self.give_up(snapshot, fault), snapshot)
         elif self.state is State.ENGAGING:
             # One that should have touched by now was an attempt: its sleeve may not move at all.
@@ -289,6 +291,9 @@ class ShiftSequence(ShiftContext):
             record.end_us = snapshot.now_us
             self.finished, self.fault = record, record.fault
             return f"request for gear {number} refused: {reason}"
+        record.engagement = engagement(self.sheet, snapshot.view, record.target)
+        if record.engagement is Engagement.SPLITTER:
+            record.strategy = Strategy.SPEED_WINDOW
         self.shift, self.fault = record, FaultCode.NONE
         set_goal(self, record.target, snapshot)
         self.catches_engine, self.engine_rad_s = False, None

@@ -21,12 +21,12 @@ from meshpoint.controller.measure.gearbox_view import VIEW_NEUTRAL_M
 from meshpoint.controller.settings.settings import MS_IN_US, SPEEDS_RAD_S, splitter_ms
 from meshpoint.controller.settings.valve_name import DOG_VALVE
 from meshpoint.controller.shift.context import ShiftContext
-from meshpoint.controller.shift.disengage import CLEAR_M, bring_to_neutral, pull_out
+from meshpoint.controller.shift.disengage import CLEAR_M, bring_to_neutral, pull_out, stays_in
 from meshpoint.controller.shift.engine import CARRIED_RAD_S, SHORT_RAD_S
 from meshpoint.controller.shift.legs import leg_done
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import ClutchAction, FaultCode, Strategy
+from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import Sleeve
 from meshpoint.gearbox.gears import SIDE_OF, SLEEVE_OF_MAIN, SPLIT_GEAR, SplitGear
 from meshpoint.units import RPM, US
@@ -71,14 +71,13 @@ def change_by_dog_teeth(context: ShiftContext, snapshot: StepSnapshot) -> Trigge
     shift, split, view = context.running, context.running.target.split, snapshot.view
     change, gear = shift.splitter, SPLIT_GEAR[split]
     if view.split is split and snapshot.speeds.split_turns_together(split):
-        if shift.attempts == 0:  # so far this is the whole shift
-            shift.attempts, shift.first_fire_us = change.attempts, change.fire_us
-            shift.strategy = Strategy.SPEED_WINDOW
         return leg_done(context, snapshot)
     if _is_over(context, snapshot):
         return context.give_up(snapshot, FaultCode.SPLITTER_FAILED)
     meeting = _meeting(context, snapshot, gear)
     if view.split is not None and view.split is not split:
+        if stays_in(context, snapshot):
+            return context.give_up(snapshot, FaultCode.SPLITTER_FAILED)
         pull_out(context, snapshot, SPLIT_GEAR[view.split])
         return None
     if change.fire_us is not None:
@@ -109,6 +108,14 @@ def is_between(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     view = snapshot.view
     out = abs(view.position_m(Sleeve.SPLITTER)) >= VIEW_NEUTRAL_M
     return context.sheet.has_dog_splitter and view.split is None and out
+
+
+def has_not_moved(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether its sleeve was fired before and has not come in, or stands between a step and
+    neutral: what the guard then forbids comes of it."""
+    change = context.running.splitter
+    earlier = change.attempts - (change.fire_us is not None)
+    return earlier > 0 or is_between(context, snapshot)
 
 
 def _is_over(context: ShiftContext, snapshot: StepSnapshot) -> bool:
@@ -266,7 +273,7 @@ def _fire_when_due(
     is_seen = 0.5 * least <= meeting.now <= most
     if meeting.falls_rad_s2 is None or not (is_seen and least <= meeting.met <= most):
         return
-    change.fire_us = snapshot.earliest_us
+    change.fire_us = change.fired_us = snapshot.earliest_us
     change.attempts += 1
     change.drives = 0
     context.board.schedule(DOG_VALVE[gear], True, change.fire_us, snapshot.now_us)

@@ -8,7 +8,7 @@ from typing import Final
 
 from meshpoint.controller.plan.strategist import Plan
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
+from meshpoint.dbc.messages import Engagement, FaultCode, ReferenceSource, ShiftResult, Strategy
 from meshpoint.gearbox import DriveGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
@@ -126,6 +126,8 @@ class SplitterChange:
     """The layshaft's, over a swing of the driveline."""
     fire_us: int | None = None
     """When its sleeve was fired into the new step; None: it is not on its way there."""
+    fired_us: int | None = None
+    """The activation of the last firing."""
     attempts: int = 0
     drives: int = 0
     """How often the engine was to bring the input shaft to the new step's speed, for an attempt."""
@@ -151,6 +153,8 @@ class ShiftRecord:
     """The gear asked for, where dog teeth of splitter and main box change one after the other and
     the target is the gear in between; else None."""
     splitter: SplitterChange = field(default_factory=SplitterChange)
+    engagement: Engagement = Engagement.MAIN_GEAR
+    """Whose dog teeth the outcome reports: the splitter's where it alone is to change."""
     aimed: bool = False
     """Whether the acting strategy aims at a phase; then the contact shows the error of its
     prediction."""
@@ -214,3 +218,16 @@ class ShiftRecord:
         """Whether the range box changes, too: it leaves the main shaft swinging."""
         before = DRIVE_GEARS.get(self.from_number)
         return before is not None and before.range_ is not self.target.range_
+
+    @property
+    def firings(self) -> int:
+        """How often the sleeve was fired that the outcome reports."""
+        reports_splitter = self.engagement is Engagement.SPLITTER
+        return self.splitter.attempts if reports_splitter else self.attempts
+
+    @property
+    def fired_us(self) -> int:
+        """When it was fired last; 0 if it was not."""
+        if self.engagement is Engagement.SPLITTER:
+            return self.splitter.fired_us or 0
+        return self.plan.fire_us if self.plan else self.first_fire_us or 0

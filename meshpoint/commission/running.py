@@ -26,6 +26,7 @@ from meshpoint.commission.core import (
 )
 from meshpoint.commission.edge_log import EdgeLog, State
 from meshpoint.commission.hearing import HearingCore
+from meshpoint.commission.shafts import Shaft
 from meshpoint.commission.trial import MOVED_M
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.dbc.frame import Frame
@@ -47,6 +48,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import (
     MAIN_GEARS,
+    MAIN_SLEEVES,
     SLEEVE_OF_MAIN,
     MainGear,
     Range,
@@ -72,7 +74,8 @@ PULSES_US: Final = (90_000, 160_000, 0, 230_000, 120_000, 190_000)
 COUNT_US: Final = 2_500_000
 COAST_US: Final = 250_000
 STROKES: Final = 3
-"""Times that each main gear's sleeve is pushed at standstill beside the one that engages it."""
+"""Times that a sleeve is pushed to each gear's dog teeth at standstill beside the one that engages
+it."""
 TRIES: Final = 12
 INCH_US: Final = 400_000
 """A clutch that is closed just until the gear moves: no longer than so, then it rests so long."""
@@ -84,6 +87,8 @@ SETTLE_US: Final = 600_000
 MOVE_US: Final = 1_500_000
 SPIN_US: Final = 12_000_000
 STAND_US: Final = 30_000_000
+BRAKED: Final = 2
+"""Input shaft and layshaft. Main shaft and output may coast on."""
 QUIET_US: Final = 250_000
 """A shaft of which no edge comes for so long stands."""
 OVER_SHARE: Final = 1.15
@@ -126,8 +131,11 @@ class RunningCore(HearingCore):
         self._requests = 0
         self._events: list[str] = []
         self._answer: tuple[bool, int] | None = None
-        self._edges = 0
-        self._edge_us = 0
+        self._edges = dict.fromkeys(Shaft, 0)
+        self._edge_us = dict.fromkeys(Shaft, 0)
+        """Of each wheel: how many have come, and when the last one did."""
+        self._coasting: set[Shaft] = set()
+        """Shafts that did not stand when the others were brought to a stand."""
         self._program: Program | None = self._whole()
         self.log = EdgeLog()
         self.question: str | None = None
@@ -159,9 +167,11 @@ class RunningCore(HearingCore):
         """Takes in what was heard, goes on with the program, commands."""
         self._now_us, self._due_us = now_us, now_us + TICK_US
         self._take_in(now_us)
-        counted = sum(track.numbers[-1] for track in self.log.tracks.values() if track.numbers)
-        if counted != self._edges:
-            self._edges, self._edge_us = counted, now_us
+        counted = dict.fromkeys(Shaft, 0)
+        for (shaft, _), track in self.log.tracks.items():
+            counted[shaft] += track.numbers[-1] if track.numbers else 0
+        self._edge_us |= {shaft: now_us for shaft in Shaft if counted[shaft] != self._edges[shaft]}
+        self._edges = counted
         if self._program is not None:
             try:
                 self._look_out()
@@ -234,7 +244,8 @@ class RunningCore(HearingCore):
             if range_ is Range.HIGH and MainGear.THIRD.name.lower() in self.declined:
                 continue
             yield from self._stand()
-            yield from self._change(SPLITS[Split.LOW], RANGES[range_])
+            yield from self._step_in(Split.LOW)
+            yield from self._change(RANGES[range_])
             for gear in MAIN_GEARS if range_ is Range.LOW else (MainGear.THIRD,):
                 name = gear.name.lower()
                 if (yield from self._consented(f"{name}, range {range_.name.lower()}", name)):
@@ -273,9 +284,7 @@ class RunningCore(HearingCore):
         """A gear is pushed in at standstill, turned, counted, and taken out again."""
         side = SLEEVE_OF_MAIN[gear]
         yield from self._stand()
-        for _ in range(STROKES if range_ is Range.LOW else 0):
-            yield from self._drive(side, lambda: False, 150_000)
-            yield from self._to_neutral()
+        yield from self._strokes(side, STROKES if range_ is Range.LOW else 0)
         yield from self._inch_in(side, gear.name.lower())
         yield from self._spin(GEAR_RPM)
         yield from self._count(State(Split.LOW, gear, range_), COUNT_US)
@@ -284,6 +293,23 @@ class RunningCore(HearingCore):
         yield from self._let_go()
         # Out of gear before the brake: it would brake what is behind the output, too.
         yield from self._to_neutral()
+
+    def _strokes(self, side: SleeveSide, times: int) -> Program:
+        """A sleeve is pushed at standstill, and comes back to neutral."""
+        for _ in range(times):
+            yield from self._drive(side, lambda: False, 150_000)
+            yield from self._to_neutral((side.sleeve,))
+
+    def _step_in(self, split: Split, strokes: int = 0) -> Program:
+        """The splitter into a step: by its cones while it turns, by dog teeth as a main gear."""
+        side = SPLITS[split]
+        if not self._sheet.has_dog_splitter:
+            yield from self._change(side)
+        elif strokes or not self._at(side, IN_M):
+            yield from self._stand(BRAKED)
+            yield from self._to_neutral((side.sleeve,))
+            yield from self._strokes(side, strokes)
+            yield from self._inch_in(side, f"split_{split.name.lower()}")
 
     def _inch_in(self, side: SleeveSide, name: str) -> Program:
         """Pushes a sleeve in. One that meets a tooth stays on it until the clutch, which closes
@@ -294,9 +320,9 @@ class RunningCore(HearingCore):
         for _ in range(TRIES):
             if self._at(side, IN_M):
                 break
-            still, end_us = self._edges, self._now_us + INCH_US
+            still, end_us = self._turned, self._now_us + INCH_US
             self._clutch = ClutchAction.CLOSE
-            while self._now_us < end_us and self._edges < still + INCH_EDGES:
+            while self._now_us < end_us and self._turned < still + INCH_EDGES:
                 yield
             self._clutch = ClutchAction.OPEN
             yield from self._hold(INCH_US)
@@ -306,7 +332,7 @@ class RunningCore(HearingCore):
         self._valve = None
 
     def _drive_and_brake(self, split: Split) -> Program:
-        yield from self._change(SPLITS[split])
+        yield from self._step_in(split, STROKES)
         for number, (rpm, pulse_us) in enumerate(zip(DRIVEN_RPM, PULSES_US, strict=True)):
             yield from self._spin(rpm)
             if number == 0:
@@ -339,17 +365,26 @@ class RunningCore(HearingCore):
         )
         yield from self._hold(100_000)
 
-    def _stand(self) -> Program:
-        """Neutral, clutch open, brake on, until nothing turns; the output is left to itself, or a
-        person brakes it."""
+    def _stand(self, shafts: int = len(Shaft)) -> Program:
+        """Neutral, clutch open, brake on, until this many shafts stand; the output is left to
+        itself, or a person brakes it."""
         self._engine_rad_s, self._clutch = None, ClutchAction.OPEN
         self._activate(ValveName.BRAKE)
         yield from self._hold(200_000)
         yield from self._until(
-            lambda: self._now_us - self._edge_us > QUIET_US, STAND_US, "the shafts do not stop"
+            lambda: len(self._turning()) <= len(Shaft) - shafts, STAND_US, "the shafts do not stop"
         )
+        self._coasting = self._turning()
         self._valve = None
         yield from self._hold(300_000)
+
+    def _turning(self) -> set[Shaft]:
+        return {s for s, at_us in self._edge_us.items() if self._now_us - at_us <= QUIET_US}
+
+    @property
+    def _turned(self) -> int:
+        """Edges of the shafts that stood."""
+        return sum(count for shaft, count in self._edges.items() if shaft not in self._coasting)
 
     def _change(self, *sides: SleeveSide) -> Program:
         """Splitter and range to these sides."""
@@ -359,10 +394,10 @@ class RunningCore(HearingCore):
                 is_there = partial(self._at, side, STEP_IN_M)
                 yield from self._drive(side, is_there, MOVE_US, f"{name}: not moved")
 
-    def _to_neutral(self) -> Program:
+    def _to_neutral(self, sleeves: tuple[Sleeve, ...] = MAIN_SLEEVES) -> Program:
         """By pulses that grow until the sleeve moves: one that is pulled for longer flies through
         neutral into the other gear."""
-        for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
+        for sleeve in sleeves:
             pulse_us = SHORT_PULSE_US
             while not self._in_neutral(sleeve):
                 if pulse_us > LONGEST_PULSE_US:

@@ -134,11 +134,3 @@ def main_box_only(from_number: int, to_number: int) -> bool:
     """Whether a shift between two gears moves the main box and neither splitter nor range."""
     a, b = DRIVE_GEARS[from_number], DRIVE_GEARS[to_number]
     return a.main is not b.main and a.split is b.split and a.range_ is b.range_
-
-
-def splitter_only(from_number: int, to_number: int) -> bool:
-    """Whether a shift between two gears moves the splitter alone; not from or into neutral."""
-    a, b = DRIVE_GEARS.get(from_number), DRIVE_GEARS.get(to_number)
-    if a is None or b is None:
-        return False
-    return a.split is not b.split and a.main is b.main and a.range_ is b.range_

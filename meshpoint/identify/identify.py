@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.identify.brake_figures import brake_figures
 from meshpoint.identify.clutch_fit import touches
 from meshpoint.identify.held_out import HeldOut, check_samples
@@ -129,7 +128,7 @@ def _sleeves(
     sleeve = sheet.sleeve
     spread = ("sleeve delay spread", "ms", sleeve.delay_sd_s / MS)
     names = [
-        (f"sleeve delay {gear.name.lower()}", "ms", sleeve.delay_s / MS) for gear in MAIN_GEARS
+        (f"sleeve delay {gear.name.lower()}", "ms", sleeve.delay_s / MS) for gear in sheet.dog_gears
     ]
     if fitted is None:
         why = "no contact of a main sleeve in the log"
@@ -144,7 +143,7 @@ def _sleeves(
     found.supply_pa = sheet.air.supply_gauge_pa + sheet.air.atmosphere_pa
     correlation = fitted.correlation
     wider = math.sqrt((1.0 + correlation) / (1.0 - correlation))
-    for gear, (name, unit, by_sheet) in zip(MAIN_GEARS, names, strict=True):
+    for gear, (name, unit, by_sheet) in zip(sheet.dog_gears, names, strict=True):
         delays = fitted.delays_s.get(gear)
         if delays is None:
             untold(found, "the log has no stroke into this gear", (name, unit, by_sheet))

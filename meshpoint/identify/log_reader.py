@@ -14,7 +14,7 @@ from meshpoint.controller.measure.clock import SensorClockEstimate
 from meshpoint.controller.measure.gearbox_view import GearboxView
 from meshpoint.controller.measure.inputs import StepInputs
 from meshpoint.controller.measure.wheel_edges import EdgeBatch, WheelEdges
-from meshpoint.controller.settings.valve_name import SLEEVE_VALVE
+from meshpoint.controller.settings.valve_name import DOG_VALVE
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.tracked import Contact
 from meshpoint.dbc.edges import EDGES
@@ -26,8 +26,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
-from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES
+from meshpoint.gearbox import GearboxSheet, Range, Sleeve, Split
+from meshpoint.gearbox.gears import SIDE_OF, DogGear
 from meshpoint.identify.thinning import Thinned
 from meshpoint.identify.valve_switches import (
     BRAKE,
@@ -101,20 +101,20 @@ class LogContent:
     """All that was found. What is kept is limited, whatever the log's length."""
 
     runs: Thinned[FreeRun] = field(default_factory=Thinned)
-    contacts: Thinned[tuple[MainGear, Contact]] = field(default_factory=Thinned)
+    contacts: Thinned[tuple[DogGear, Contact]] = field(default_factory=Thinned)
     """Sleeves that came to a gear's teeth."""
     closings: Thinned[Closing] = field(default_factory=Thinned)
     messages: Counter[str] = field(default_factory=Counter)
     inexact: int = 0
-    """Firings of a main sleeve at no commanded time."""
+    """Firings of such a sleeve at no commanded time."""
     late: int = 0
     """Commands whose activation had passed by the log's clock when they came."""
     empty_pa: list[float] = field(default_factory=list)
     """Pressures at the brake long after its valve went off."""
     sleeves: Sleeves | None = None
-    """What a controller would have learned of the main sleeves."""
+    """What a controller would have learned of the sleeves with dog teeth."""
     moved: set[Sleeve] = field(default_factory=set)
-    """The main sleeves that have moved."""
+    """Those of them that have moved."""
 
 
 class _Trajectory:
@@ -159,7 +159,7 @@ class LogReader:
             _Trajectory(self._layshaft, wheels.layshaft.teeth),
             _Trajectory(self._main, wheels.main.teeth),
         )
-        self._valves = ValveSwitches()
+        self._valves = ValveSwitches(sheet.dog_gears)
         self._inputs = StepInputs()
         self._pressure: list[tuple[int, float]] = []
         self._supply: list[float] = []
@@ -167,7 +167,7 @@ class LogReader:
         self._split: Split | None = None
         self._last_us = 0
         self.content.sleeves = self._sleeves = Sleeves(sheet)
-        self._told_us: dict[MainGear, int] = {}
+        self._told_us: dict[DogGear, int] = {}
         """The newest switch of each gear's valve that the sleeves know of."""
         self._closing = _ClosingTrack(self.content)
         self._next_us: int | None = None
@@ -224,23 +224,22 @@ class LogReader:
 
     def _move_sleeves(self, now_us: int) -> None:
         """Gives the sleeves what their valves have done, and where they are."""
-        for gear in MAIN_GEARS:
+        for gear in self._sheet.dog_gears:
             told_us = self._told_us.get(gear, 0)
             switches = self._valves.of(VALVE_OF_GEAR[gear], now_us)
             new = [switch for switch in switches if switch.time_us > told_us]
             if new:
                 self.content.inexact += sum(one.on and not one.exact for one in new)
-                self._sleeves.expected(SLEEVE_VALVE[gear], [(one.time_us, one.on) for one in new])
+                self._sleeves.expected(DOG_VALVE[gear], [(one.time_us, one.on) for one in new])
                 self._told_us[gear] = new[-1].time_us
         if self._supply:
             self._sleeves.supply_pa = self._supply[-1] - self._sheet.air.atmosphere_pa
         before = dict(self._sleeves.contacts)
         self._sleeves.take(self._view, now_us)
         for met, contact in self._sleeves.contacts.items():
-            # Those of a splitter with dog teeth are not fitted.
-            if isinstance(met, MainGear) and contact is not before.get(met):
+            if contact is not before.get(met):
                 self.content.contacts.add((met, contact))
-        for sleeve in MAIN_SLEEVES:
+        for sleeve in {SIDE_OF[gear].sleeve for gear in self._sheet.dog_gears}:
             samples_m = self._view.tracks[sleeve].samples_m
             if max(samples_m) - min(samples_m) > MOVED_M:
                 self.content.moved.add(sleeve)

@@ -10,7 +10,6 @@ import math
 from typing import Final, NamedTuple
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.table_text import number, quoted
 from meshpoint.identify.identified import Identified
 from meshpoint.units import RPM
@@ -69,7 +68,7 @@ def entries(found: Identified, sheet: GearboxSheet) -> list[Entry]:
     if found.omega_ref_rad_s > 0.0:
         why = f"the whole drag at {rpm:.0f} rpm over the speed"
         add("shafts", "friction_nms", ("drag",), why, 1.0 / found.omega_ref_rad_s, 0.0)
-    gears = tuple(f"sleeve delay {gear.name.lower()}" for gear in MAIN_GEARS)
+    gears = tuple(f"sleeve delay {gear.name.lower()}" for gear in sheet.dog_gears)
     before = len(made)
     add("sleeve", "delay_ms", gears, "mean of the gears, at the sheet's supply pressure")
     if len(made) > before:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshpoint.controller.sleeve.stroke import FAR_S
-from meshpoint.gearbox import MainGear
-from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.gears import MAIN_GEARS, SPLIT_GEARS, DogGear
 from meshpoint.identify.log_reader import LogContent
 from meshpoint.units import US
 
@@ -23,8 +22,8 @@ LEAST_CORRELATION, MOST_CORRELATION = 0.3, 0.8
 class SleeveFit:
     """Delays of the strokes by gear."""
 
-    delays_s: dict[MainGear, np.ndarray]
-    by_law_sd_s: dict[MainGear, float]
+    delays_s: dict[DogGear, np.ndarray]
+    by_law_sd_s: dict[DogGear, float]
     """Deviation of the law's own delay."""
     errors_s: np.ndarray
     """By how much each contact was later than what was expected before its sleeve moved."""
@@ -83,7 +82,7 @@ def sleeve_fit(content: LogContent) -> SleeveFit | None:
     if content.sleeves is None or not contacts:
         return None
     delays, sds = {}, {}
-    for gear in MAIN_GEARS:
+    for gear in (*MAIN_GEARS, *SPLIT_GEARS):
         left_us = [one.measured_us - one.usual_us for at, one in contacts if at is gear]
         if left_us:
             by_law = content.sleeves.law_figures(gear).contact_s

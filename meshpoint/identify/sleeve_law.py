@@ -1,6 +1,6 @@
-"""What a log says of the main sleeves' valves: what a controller would have learned from the
-sleeves' samples and switches, by the controller's own law, with intervals that allow for what that
-law leaves out."""
+"""What a log says of the valves of sleeves with dog teeth: what a controller would have learned
+from the sleeves' samples and switches, by the controller's own law, with intervals that allow for
+what that law leaves out."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 from meshpoint.controller.estimate.figures import Estimate
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.controller.sleeve.stroke import LawFigures
-from meshpoint.gearbox import GearboxSheet, MainGear
-from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import SIDE_OF, DogGear
 from meshpoint.identify.identified import Figure, Identified, untold
 from meshpoint.identify.log_reader import LogContent
 from meshpoint.units import MS
@@ -39,7 +39,7 @@ VALVE_FIGURES: Final = (
     _Named("off_delay_s", "sleeve valve {} off delay", 0.65 * MS),
 )
 LAW_FIGURES: Final = frozenset(
-    one.name.format(gear.name.lower()) for gear in MAIN_GEARS for one in VALVE_FIGURES
+    one.name.format(gear.name.lower()) for gear in SIDE_OF for one in VALVE_FIGURES
 )
 NEVER_TOLD: Final = (
     ("sleeve delay by temperature", "ms/K", "temperature is not modelled; re-learned each stroke"),
@@ -56,11 +56,24 @@ NEVER_TOLD: Final = (
     ),
 )
 
+OF_A_DOG_SPLITTER: Final = (
+    (
+        "splitter tooth offset",
+        "deg",
+        "it is counted from a tooth of either sensor wheel, and each run counts them anew",
+    ),
+    (
+        "splitter backlash",
+        "deg",
+        "a shaft that goes from flank to flank shows it in one with the play of the wheel pair",
+    ),
+)
+
 
 def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> None:
     """Reports the delays of each gear's valve, or why not."""
     unlearned = Sleeves(sheet)
-    for gear in MAIN_GEARS:
+    for gear in sheet.dog_gears:
         law = (content.sleeves or unlearned).law_figures(gear)
         of_sheet = unlearned.law_figures(gear)
         why = _why_none(content, gear, law)
@@ -75,17 +88,17 @@ def sleeve_law(found: Identified, content: LogContent, sheet: GearboxSheet) -> N
             value, half = known.value / MS, SDS * sd_s / MS
             ends = value - half, value + half
             found.figures.append(Figure(*named[:2], value, *ends, named[2], law.movements))
-    for name, unit, why in NEVER_TOLD:
+    for name, unit, why in (*NEVER_TOLD, *(OF_A_DOG_SPLITTER if sheet.has_dog_splitter else ())):
         untold(found, why, (name, unit, None))
 
 
-def _why_none(content: LogContent, gear: MainGear, law: LawFigures) -> str:
+def _why_none(content: LogContent, gear: DogGear, law: LawFigures) -> str:
     """Why the log shows nothing of a sleeve's law; empty where it does."""
     if not content.messages["ValveCommand"]:
         return "no valve commands in the log"
     if not content.moved:
         return "no main sleeve moved in the log"
-    if SLEEVE_OF_MAIN[gear].sleeve not in content.moved:
+    if SIDE_OF[gear].sleeve not in content.moved:
         return "this sleeve did not move in the log"
     if content.inexact:
         return "its valves were switched at once, not at a commanded time"

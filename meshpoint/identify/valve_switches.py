@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.sensor_time import unwrap
 from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.gears import MAIN_GEARS, DogGear, SplitGear
 
 LATE_US: Final = 2_000
 AHEAD_US: Final = 100_000
 """An activation that first comes later than this, or for a time further ahead, is refused by the
 drivers, however often it is sent again."""
-VALVE_OF_GEAR: Final = {
+VALVE_OF_GEAR: Final[dict[DogGear, str]] = {
     MainGear.CRAWL: "main_crawl",
     MainGear.FIRST: "main_first",
     MainGear.SECOND: "main_second",
     MainGear.THIRD: "main_third",
+    SplitGear.LOW_SPLIT: "split_low",
+    SplitGear.HIGH_SPLIT: "split_high",
 }
 BRAKE: Final = "brake"
-VALVES: Final = (BRAKE, *VALVE_OF_GEAR.values())
 
 
 class Switch(NamedTuple):
@@ -81,10 +84,11 @@ class _Slot:
 
 
 class ValveSwitches:
-    """Follows the drivers of the brake's and the main sleeves' valves by the commands they got."""
+    """Follows the drivers of the brake's valve, and of those that bring these gears in, by the
+    commands they got."""
 
-    def __init__(self) -> None:
-        self._slots = {name: _Slot() for name in VALVES}
+    def __init__(self, gears: Sequence[DogGear] = MAIN_GEARS) -> None:
+        self._slots = {name: _Slot() for name in (BRAKE, *map(VALVE_OF_GEAR.__getitem__, gears))}
 
     def take(self, command: ValveCommand, now_us: int) -> None:
         """A command that came at this time of the sensor clock."""

@@ -23,6 +23,7 @@ from meshpoint.dbc.messages import (
     ClutchCommand,
     ControllerState,
     ControllerStatus,
+    Engagement,
     EngagementEvent,
     FaultCode,
     Message,
@@ -37,7 +38,6 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox.gears import splitter_only
 from meshpoint.logs.heard import Heard
 from meshpoint.logs.xcp_writes import XcpWrites
 from meshpoint.results.aborts import aborts_words, halt_mm
@@ -272,7 +272,8 @@ class Story:
             words += "" if message.attempts == 1 else "s"
             if message.aborts:
                 words += f", aborted {aborts_words(message.aborts, halt_mm(message))}"
-            if not splitter_only(message.from_gear, message.to_gear):  # that is never aimed
+            is_main = message.engagement is Engagement.MAIN_GEAR
+            if is_main and message.attempts:  # no splitter is aimed
                 known = message.reference is PhaseReference.KNOWN
                 words += ", aimed" if known else ", phase reference not known yet"
         if message.fault is not FaultCode.NONE:

@@ -13,6 +13,7 @@ from meshpoint.controller.plan.strategist import AIMING
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.controller.settings.strategy_file import is_file_name
 from meshpoint.dbc.messages import (
+    Engagement,
     EngagementEvent,
     MainGear,
     Message,
@@ -23,7 +24,7 @@ from meshpoint.dbc.messages import (
     ShiftResult,
 )
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import DRIVE_GEARS, splitter_only
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.results.aborts import halt_mm
 from meshpoint.results.road_speed import RoadSpeed, span_us
 from meshpoint.results.shift_figures import ShiftFigures
@@ -50,6 +51,8 @@ class ShiftRow(ShiftFigures):
     """The old gear."""
     to: int
     """The gear asked for."""
+    engagement: str = "main_gear"
+    """Whose dog teeth contact, slip and attempts are of: main_gear or splitter."""
     reference: str
     """Whether the gear's phase reference was known when the sleeve was fired."""
     duration_ms: float
@@ -182,6 +185,7 @@ class RowCollector:
         return ShiftRow(
             from_=outcome.from_gear,
             to=outcome.to_gear,
+            engagement=outcome.engagement.name.lower(),
             strategy=self._settings.name_of(outcome.strategy),
             reference=outcome.reference.name.lower(),
             result=outcome.result.name.lower(),
@@ -264,13 +268,12 @@ class _Meeting(NamedTuple):
 
 
 def _meeting(outcome: ShiftOutcome, events: list[ReferenceEngagement]) -> _Meeting:
-    """What gear and sleeve of a shift have done: those of the main box, or of the splitter where it
-    alone has changed."""
+    """What gear and sleeve of a shift have done: those that its outcome reports."""
     gear, neutral = MainGear(DRIVE_GEARS[outcome.to_gear].main), MainGear.NEUTRAL
     found = [event for event in events if event.gear == gear]
     splits = [each for each in events if each.gear == neutral and each.event in OF_TEETH]
-    if splitter_only(outcome.from_gear, outcome.to_gear):
-        return _Meeting(neutral, splits) if splits else _Meeting(gear, found)
+    if outcome.engagement is Engagement.SPLITTER:
+        return _Meeting(neutral, splits)
     return _Meeting(gear, found, tuple(splits))
 
 

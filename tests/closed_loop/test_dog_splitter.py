@@ -12,10 +12,12 @@ from loop_bench import Loop
 
 from meshpoint.dbc.messages import (
     ControllerState,
+    Engagement,
     EngagementEvent,
     FaultCode,
     RigFault,
     ShiftResult,
+    Strategy,
 )
 from meshpoint.gearbox import Sleeve, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SplitGear
@@ -87,6 +89,23 @@ def test_its_sleeve_comes_from_above_within_the_guards_window(from_: int, to: in
     assert all(-60.0 * RPM < -contact.slip_rad_s < 120.0 * RPM for contact in contacts)
 
 
+@pytest.mark.parametrize(("from_", "to"), ALONE + ACROSS)
+def test_the_outcome_says_whose_teeth_it_reports_and_counts_their_firings_alone(
+    from_: int, to: int
+) -> None:
+    """Where the splitter had changed before the main gear, one firing of each was said to be two
+    of the main gear."""
+    (outcome,) = shift(from_, to).loop.outcomes
+    if (from_, to) in ALONE:
+        assert outcome.engagement is Engagement.SPLITTER
+        assert outcome.strategy is Strategy.SPEED_WINDOW
+    else:
+        assert outcome.engagement is Engagement.MAIN_GEAR
+    assert outcome.attempts == 1
+    taken_us = (outcome.fire_time_us - outcome.request_time_us) % 2**32
+    assert 0 < taken_us < 4_000_000
+
+
 @pytest.mark.parametrize(("from_", "to"), ACROSS)
 def test_across_the_main_box_the_input_shaft_stays_in_the_high_step_between(
     from_: int, to: int
@@ -126,7 +145,25 @@ def test_a_jammed_splitter_ends_the_shift_in_its_old_gear() -> None:
     (outcome,) = watched.loop.outcomes
     assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
     assert outcome.fault is FaultCode.SPLITTER_FAILED
+    assert outcome.engagement is Engagement.SPLITTER
+    # It was pulled for 5.5 s, each time for longer: loose again it ran into the other step.
+    assert (outcome.end_time_us - outcome.request_time_us) % 2**32 < 2_000_000
     assert watched.loop.violations == 0
+
+
+@pytest.mark.parametrize("after_ms", [20, 278])
+def test_a_splitter_that_jams_between_its_steps_is_told(after_ms: int) -> None:
+    """Not yet in neutral, and there: that the guard forbade what followed was all that was said."""
+    loop = ready(8, 7, seed=2).loop
+    loop.until(lambda: loop.world.plant.shafts.split_lock is None, 3_000_000)
+    loop.run(loop.time.now_us + 1_000 * after_ms)
+    loop.fault(RigFault.SLEEVE_JAMMED, int(Sleeve.SPLITTER))
+    loop.until(lambda: bool(loop.outcomes), 14_000_000)
+    (outcome,) = loop.outcomes
+    assert (outcome.fault, outcome.engagement) == (
+        FaultCode.SPLITTER_FAILED, Engagement.SPLITTER,
+    )  # fmt: skip
+    assert loop.violations == 0
 
 
 def test_a_splitter_that_a_fault_left_in_neutral_is_brought_in_by_the_next_request() -> None:

@@ -47,8 +47,9 @@ def deed_alone(name: str) -> World:
     at_ms = 0 if deed.begins is None else 900
     events = [Event(at_ms, name, 0, 0.0, 4_000)]
     if deed.begins is not None and deed.begins.name != "IN_GEAR":
-        events.append(Event(1_000, REQUEST, 0, 10.0))
-    return World(6, deed.start_gear, deed.layshaft_rpm, {}, tuple(sorted(events)), 5_000)
+        events.append(Event(1_000, REQUEST, 0, float(deed.asks)))
+    speed, has_dog = deed.layshaft_rpm, deed.dog_splitter
+    return World(6, deed.start_gear, speed, {}, tuple(sorted(events)), 5_000, has_dog)
 
 
 def deeds() -> Iterator[Any]:

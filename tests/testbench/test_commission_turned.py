@@ -31,6 +31,7 @@ from meshpoint.commission.rehearsal import (
     MiswiredRig,
     Miswiring,
     findings_of,
+    rehearse_turned,
 )
 from meshpoint.commission.roles import Turning, judge_turning
 from meshpoint.commission.running import RunningCore
@@ -65,6 +66,7 @@ from meshpoint.gearbox.tables import parse_toml, read_group
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
 from meshpoint.rig_sim.truck.stand import STAND
+from meshpoint.units import MS
 
 TRUCK = load_sheet("truck12")
 WIRES = {SleeveSide(*moved): valve for valve, moved in EXPECTED.items()}
@@ -397,3 +399,21 @@ def test_drawn_sheets_differ_in_everything_that_is_withheld() -> None:
         assert sheet.dog == blank.dog
     assert one != other
     assert State(Split.LOW, MainGear.THIRD, Range.HIGH) == HIGH_STATE
+
+
+def test_a_splitter_with_dog_teeth_is_brought_in_at_standstill_and_its_valves_are_told() -> None:
+    """While it turned it met the other step at 300 rpm and stayed before the teeth: its ratios were
+    said to be those of other sides."""
+    drawn = draw_sheet(load_sheet("truck12-dog"), 1)
+    turned = rehearse_turned(drawn, 1, Miswiring(), Profile.CLEAN)
+    assert all(one.verdict is not Verdict.BAD for one in turned.findings)
+    made = commissioned(turned.core, withheld(drawn), "0", "2026-01-01T00:00:00Z")
+    assert made.sheet.splitter == drawn.splitter
+    told = {one.name: one for one in made.sleeve_law}
+    delay_ms = drawn.sleeve.valve_delay_s / MS
+    for step in ("low_split", "high_split"):
+        for way in ("on", "off"):
+            figure = told[f"sleeve valve {step} {way} delay"]
+            assert figure.low is not None
+            assert figure.high is not None
+            assert figure.low < delay_ms < figure.high

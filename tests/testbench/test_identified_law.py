@@ -74,6 +74,17 @@ def test_what_movements_cannot_tell_apart_is_given_no_number_and_is_named_once()
     assert [name for name in names if "detent" in name or "per bar" in name] == list(NEVER[1:])
 
 
+def test_of_a_splitter_with_dog_teeth_valves_are_told_and_its_teeth_are_given_no_number() -> None:
+    dog = load_sheet("truck12-dog")
+    names = {one.name: one for one in identify(LogContent(), dog).figures}
+    for step in ("low_split", "high_split"):
+        assert {f"sleeve delay {step}", *(name.format(step) for name in LAW)} <= set(names)
+    for name in ("splitter tooth offset", "splitter backlash"):
+        assert names[name].value is None
+        assert names[name].why
+    assert not any("split" in one.name for one in identify(LogContent(), SHEET).figures)
+
+
 def test_a_gear_s_delay_is_printed_once() -> None:
     ((_, found),) = taught(3)
     assert [one.name for one in found.figures if one.name.startswith("sleeve delay second")] == [

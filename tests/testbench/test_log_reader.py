@@ -25,7 +25,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import MainGear, Range, Sleeve, Split, load_sheet
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split, load_sheet
+from meshpoint.gearbox.gears import SplitGear
 from meshpoint.identify.log_reader import (
     FreeRun,
     LogContent,
@@ -64,6 +65,7 @@ class Box:
     engine_rad_s: Trajectory = lambda _: 100.0
     commands: dict[int, ValveCommand] = field(default_factory=dict)
     """By the ms at which each is sent."""
+    sheet: GearboxSheet = SHEET
     without_edges: tuple[int, int] = (0, 0)
     """From and to which ms no edges come."""
     apart_us: int = 0
@@ -75,7 +77,7 @@ class Box:
         """The log of so long."""
         io, engine = Transmitter(Node.GEARBOX_IO), Transmitter(Node.ENGINE)
         controller = Transmitter(Node.TRANSMISSION_CONTROL)
-        reader, teeth = LogReader(SHEET), SHEET.wheels
+        reader, teeth = LogReader(self.sheet), SHEET.wheels
         layshaft = turning(teeth.layshaft.teeth, LAYSHAFT_RAD_S, seconds)
         main = turning(teeth.main.teeth, MAIN_RAD_S, seconds)
         if self.begins_us is not None:
@@ -223,6 +225,21 @@ def test_a_contact_is_reported_of_the_gear_whose_valve_was_switched_on() -> None
     assert ms == pytest.approx([520.0 + meets_ms, 1_320.0 + meets_ms], abs=1.0)
     assert content.moved == {Sleeve.FIRST_SECOND}
     assert content.inexact == 0
+
+
+def test_a_splitter_with_dog_teeth_has_contacts_as_a_main_gear_and_one_with_cones_none() -> None:
+    on, off = (
+        ValveCommand(split_high_action=action, split_high_time_us=BEGIN_US + 1000 * ms + 300)
+        for action, ms in ((ValveAction.ON_AT, 500), (ValveAction.OFF_AT, 800))
+    )
+    dog, cones = (
+        Box(split=pushed(520), commands={490: on, 790: off}, sheet=sheet).read(1.0)
+        for sheet in (load_sheet("truck12-dog"), SHEET)
+    )
+    ((gear, contact),) = dog.contacts
+    assert (gear, contact.fired_us - BEGIN_US) == (SplitGear.HIGH_SPLIT, 500_300)
+    assert dog.moved == {Sleeve.SPLITTER}
+    assert (list(cones.contacts), cones.moved) == ([], set())
 
 
 def test_a_firing_at_no_commanded_time_is_counted() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from meshpoint.dbc.messages import (
+    Engagement,
     EngagementEvent,
     FaultCode,
     MainGear,
@@ -143,7 +144,7 @@ def test_an_outcome_without_a_firing_has_no_delay_and_one_without_a_plan_no_pred
 
 
 def test_a_splitter_alone_has_a_slip_and_no_error_of_an_aim() -> None:
-    (row,) = rows_of(contact(-0.5, gear=MainGear.NEUTRAL), outcome(from_gear=9, to_gear=10))
+    (row,) = rows_of(contact(-0.5, gear=MainGear.NEUTRAL), outcome(engagement=Engagement.SPLITTER))
     assert (row.contact, row.phase_error_deg) == ("gap", None)
     assert row.slip_rpm == pytest.approx(18.0)
 
@@ -317,10 +318,13 @@ def test_of_a_splitter_with_dog_teeth_its_own_contact_counts_where_it_alone_chan
     met = split_event(EngagementEvent.TOOTH_CONTACT, 25_500)
     locked = split_event(EngagementEvent.LOCKED, 60_000, energy_j=1.5)
     brake = ReferenceEngagement(61_000, EngagementEvent.BRAKE_EMPTIES, MainGear.NEUTRAL, 0.0, 0.0)
-    (alone,) = rows_of(met, locked, brake, outcome(from_gear=9))
+    alone_ = outcome(engagement=Engagement.SPLITTER)
+    (alone,) = rows_of(met, locked, brake, alone_)
+    assert alone.engagement == "splitter"
     assert (alone.contact, alone.impact_j, alone.outside_window) == ("tooth", 1.5, 0)
     assert alone.slip_rpm == pytest.approx(-50.0)
     (both,) = rows_of(met, locked, contact(0.1), outcome(from_gear=11))
+    assert both.engagement == "main_gear"
     assert (both.contact, both.impact_j) == ("gap", 1.5)
     fast = split_event(EngagementEvent.TOOTH_CONTACT, 25_500, slip_rpm=80.0)
-    assert rows_of(fast, locked, outcome(from_gear=9))[0].outside_window == 1
+    assert rows_of(fast, locked, alone_)[0].outside_window == 1

@@ -21,6 +21,7 @@ from meshpoint.dbc.messages import (
     TC1,
     ControllerState,
     ControllerStatus,
+    Engagement,
     EngagementEvent,
     FaultCode,
     GearboxSensors,
@@ -89,11 +90,14 @@ def test_what_the_bench_does_to_the_gears_is_said_to_be_its_own(
 
 
 def test_a_shift_of_the_splitter_alone_is_not_said_to_lack_a_reference() -> None:
-    outcome = ShiftOutcome(from_gear=7, to_gear=8, result=ShiftResult.ENGAGED, attempts=1)
+    outcome = ShiftOutcome(
+        from_gear=7, to_gear=8, engagement=Engagement.SPLITTER, result=ShiftResult.ENGAGED,
+        attempts=1,
+    )  # fmt: skip
     sender = Transmitter(Node.TRANSMISSION_CONTROL)
     (line,) = Story().receive(0.0, sender.encode(outcome))
     assert line.words == "gear 8 is in: 0 ms, 1 firing"
-    (line,) = Story().receive(0.1, sender.encode(outcome._replace(from_gear=6)))
+    (line,) = Story().receive(0.1, sender.encode(outcome._replace(engagement=Engagement.MAIN_GEAR)))
     assert line.words.endswith("phase reference not known yet")
 
 
