@@ -155,8 +155,8 @@ def aborted_shift(*aborted_ms: int) -> Report:
         collector.take(ControllerStatus(state=state))
         if at_ms == 500:
             outcome = ShiftOutcome(
-                8, 10, Strategy.TARGET_PHASE, PhaseReference.KNOWN, ShiftResult.ENGAGED, 1,
-                request_time_us=100_000, end_time_us=500_000, aborts=len(aborted_ms),
+                8, 10, Strategy.TARGET_PHASE, PhaseReference.KNOWN, result=ShiftResult.ENGAGED,
+                attempts=1, request_time_us=100_000, end_time_us=500_000, aborts=len(aborted_ms),
                 halt_position_m=position_m[0],
             )  # fmt: skip
             collector.take(outcome)
@@ -200,8 +200,8 @@ def test_the_account_of_a_retried_shift_is_of_the_firing_that_made_the_first_con
     collector.take(met)
     collector.take(
         ShiftOutcome(
-            8, 10, Strategy.TARGET_PHASE, PhaseReference.KNOWN, ShiftResult.ENGAGED, 2,
-            request_time_us=0, fire_time_us=500_000, predicted_contact_time_us=546_000,
+            8, 10, Strategy.TARGET_PHASE, PhaseReference.KNOWN, result=ShiftResult.ENGAGED,
+            attempts=2, request_time_us=0, fire_time_us=500_000, predicted_contact_time_us=546_000,
             measured_contact_time_us=545_000, end_time_us=600_000,
             predicted_phase_rad=0.2 * DEG, predicted_phase_sd_rad=0.75 * DEG,
         )
