@@ -14,7 +14,7 @@ from meshpoint.campaigns.draw import LAYSHAFT_RPM, draw, upshifts
 from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, Split
-from meshpoint.gearbox.gears import DRIVE_GEARS, SIDE_OF, DogGear
+from meshpoint.gearbox.gears import DRIVE_GEAR_WITH, DRIVE_GEARS, SIDE_OF, DogGear
 from meshpoint.gearbox.wheels import Wheel
 from meshpoint.identify.identified import Identified
 from meshpoint.identify.identify import identify
@@ -113,9 +113,8 @@ def _pairs(sheet: GearboxSheet) -> list[tuple[int, int]]:
     """Upshifts of the main box; of a splitter with dog teeth both steps, too."""
     pairs = list(upshifts())
     if sheet.has_dog_splitter:
-        places = {(gear.main, gear.split, gear.range_): gear for gear in DRIVE_GEARS.values()}
         pairs += [
-            (old.number, places[old.main, Split(1 - old.split), old.range_].number)
+            (old.number, DRIVE_GEAR_WITH[old.main, Split(1 - old.split), old.range_].number)
             for old in DRIVE_GEARS.values()
         ]
     return pairs

@@ -25,7 +25,7 @@ import numpy as np
 
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
-from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
+from meshpoint.gearbox.gears import DRIVE_GEAR_WITH, MAIN_SLEEVES, SLEEVE_OF_MAIN
 from meshpoint.kernels.records import Vector
 from meshpoint.units import SECOND_US, US
 
@@ -70,7 +70,6 @@ _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument h
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
 _SPLIT_AT: Final = {-1: Split.LOW, 0: None, 1: Split.HIGH}
 _RANGE_AT: Final = {-1: Range.LOW, 0: None, 1: Range.HIGH}
-_NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()}
 RESTING_M: Final = 1e-3
 """A sleeve this close to the middle rests: what its sensor reads there is its offset."""
 REST_SHARE: Final = 0.05
@@ -364,7 +363,8 @@ class GearboxView:
             return 0
         if main is None or split is None or range_ is None:
             return -1
-        return _NUMBER.get((main, split, range_), -1)
+        gear = DRIVE_GEAR_WITH.get((main, split, range_))
+        return -1 if gear is None else gear.number
 
     @property
     def free_since_us(self) -> float:

@@ -13,7 +13,7 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, Engagement, FaultCode, ShiftResult
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear, Split
-from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.gears import DRIVE_GEAR_WITH
 
 
 def next_leg(sheet: GearboxSheet, view: GearboxView, goal: DriveGear) -> DriveGear:
@@ -27,8 +27,7 @@ def next_leg(sheet: GearboxSheet, view: GearboxView, goal: DriveGear) -> DriveGe
     wanted = (goal.main, split, goal.range_)
     if main is not MainGear.NEUTRAL and split is not Split.HIGH:
         wanted = (main, Split.HIGH, range_)  # type: ignore[assignment]
-    found = (g for g in DRIVE_GEARS.values() if (g.main, g.split, g.range_) == wanted)
-    return next(found, goal)
+    return DRIVE_GEAR_WITH.get(wanted, goal)
 
 
 def engagement(sheet: GearboxSheet, view: GearboxView, goal: DriveGear) -> Engagement:

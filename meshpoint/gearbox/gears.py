@@ -123,6 +123,10 @@ def _number_gears() -> dict[int, DriveGear]:
 
 
 DRIVE_GEARS: Final[dict[int, DriveGear]] = _number_gears()
+DRIVE_GEAR_WITH: Final[dict[tuple[MainGear | None, Split | None, Range | None], DriveGear]] = {
+    (gear.main, gear.split, gear.range_): gear for gear in DRIVE_GEARS.values()
+}
+"""By what the three boxes stand in; None, for a box between two, is of no gear."""
 
 
 def drive_gear(number: int) -> DriveGear:

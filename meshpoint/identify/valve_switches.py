@@ -5,23 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from meshpoint.controller.settings.valve_name import DOG_VALVE
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.sensor_time import unwrap
-from meshpoint.gearbox import MainGear
-from meshpoint.gearbox.gears import MAIN_GEARS, DogGear, SplitGear
+from meshpoint.gearbox.gears import MAIN_GEARS, DogGear
 
 LATE_US: Final = 2_000
 AHEAD_US: Final = 100_000
 """An activation that first comes later than this, or for a time further ahead, is refused by the
 drivers, however often it is sent again."""
-VALVE_OF_GEAR: Final[dict[DogGear, str]] = {
-    MainGear.CRAWL: "main_crawl",
-    MainGear.FIRST: "main_first",
-    MainGear.SECOND: "main_second",
-    MainGear.THIRD: "main_third",
-    SplitGear.LOW_SPLIT: "split_low",
-    SplitGear.HIGH_SPLIT: "split_high",
-}
+VALVE_OF_GEAR: Final = {gear: valve.name.lower() for gear, valve in DOG_VALVE.items()}
+"""As the fields of a ValveCommand begin."""
 BRAKE: Final = "brake"
 
 
