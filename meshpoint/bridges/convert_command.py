@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +27,8 @@ from meshpoint.cli import arguments
 from meshpoint.logs.log_clock import Entry, Unpack
 from meshpoint.logs.log_progress import read_in_sensor_time
 from meshpoint.logs.story import Story
-from meshpoint.results.output import beside, check_writable, complain, console, tell
+from meshpoint.results.output import beside, check_writable, complain, tell
+from meshpoint.results.progress import Shown
 
 FILES: Final = {".mcap": mcap_file, ".mf4": mf4_file, ".parquet": parquet_file}
 """What is written, by the file's ending."""
@@ -36,6 +37,8 @@ LIVE_PORT: Final = 8765
 MOST_PORT: Final = 65535
 WAIT_S: Final = 0.05
 BACK_S: Final = 1.0
+SHOWN_EVERY: Final = 1000
+"""Frames."""
 
 
 def add_parser(commands: Any) -> None:
@@ -96,10 +99,12 @@ def run(namespace: argparse.Namespace) -> int:
     said, entries = read_in_sensor_time(namespace, files, sheet)
     try:
         with beside(path) as new:
-            with FILES[path.suffix](new) as sink, console("-").status("converting"):
-                ties = ties_of(entries(), arguments.unpack_all_of(namespace, sheet))
+            with FILES[path.suffix](new) as sink, Shown("converting", "frames", None) as shown:
+                ties = ties_of(
+                    _counted(entries(), shown), arguments.unpack_all_of(namespace, sheet)
+                )
                 writing = Writing(sink, arguments.unpack_all_of(namespace, sheet), ties)
-                defect = writing.take_all(entries())
+                defect = writing.take_all(_counted(entries(), shown))
             if not writing.samples:
                 raise CommandError(
                     f"{files[0]}: of {writing.frames:,} frames none is a message of "
@@ -117,6 +122,14 @@ def run(namespace: argparse.Namespace) -> int:
         complain(f"meshpoint convert: {defect}; what is written is all that stands before it")
         return Exit.BAD_INPUT
     return Exit.DONE
+
+
+def _counted(entries: Iterable[Entry], shown: Shown) -> Iterator[Entry]:
+    """The same; a log is read twice, and both times count."""
+    for number, entry in enumerate(entries, 1):
+        if number % SHOWN_EVERY == 0:
+            shown.advance(SHOWN_EVERY)
+        yield entry
 
 
 class Writing:

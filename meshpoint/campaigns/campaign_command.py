@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from meshpoint.base.errors import CommandError, RunError
 from meshpoint.base.exits import Exit
@@ -42,6 +41,7 @@ from meshpoint.controller.settings.settings import STRATEGY_NAMES
 from meshpoint.controller.settings.strategy_file import FORM, StrategyFile
 from meshpoint.results.junit import write_text
 from meshpoint.results.output import complain, complain_of_strategy, console, write_json
+from meshpoint.results.progress import Shown
 from meshpoint.rig_sim.settings import Preset
 
 MOST_RUNS: Final = 1_000_000
@@ -363,16 +363,9 @@ def _make(
     collected: Collected,
     stopping: Stopping,
 ) -> bool:
-    """All runs that are left, under a progress bar on standard error."""
-    progress = Progress(
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeRemainingColumn(), console=console("-"), transient=True,
-    )  # fmt: skip
-    with progress:
-        task = progress.add_task(
-            "campaign", total=len(collected.jobs), completed=len(collected.done)
-        )
+    """All runs that are left, and on standard error how far they are."""
+    done, total = len(collected.done), len(collected.jobs)
+    with Shown("campaign", "runs", total, done) as shown:
 
         def take(results: list[RunResult]) -> None:
             # Results are taken whole: what is in the table on disk is in the JSON as well.
@@ -380,7 +373,7 @@ def _make(
                 if store is not None:
                     store.add([record for result in results for record in result.records])
                 collected.take(results)
-                progress.advance(task, len(results))
+                shown.advance(len(results))
             if interrupted():
                 raise KeyboardInterrupt
 

@@ -35,6 +35,7 @@ from meshpoint.logs.log_progress import (
 from meshpoint.logs.logged_frames import LoggedFrames
 from meshpoint.replays.sensor_replay import LogTime
 from meshpoint.results.output import check_writable, complain, console, write_json
+from meshpoint.results.progress import Shown
 from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.units import DEG, RPM
 
@@ -87,8 +88,8 @@ def run(namespace: argparse.Namespace) -> int:
     if log.interrupted:
         complain_of_interrupt(log.frames)
     out = console(namespace.json)
-    with out.status("identifying") as status:
-        found = identify(reader.finish(), sheet, lambda step: status.update(f"fitting: {step}"))
+    with Shown("identifying", "fits", None) as shown:
+        found = identify(reader.finish(), sheet, lambda step: shown.begin(f"fitting: {step}"))
     if namespace.output is not None:
         based_on = _base(gearbox, namespace.output)
         text = overlay(found, sheet, based_on, log_name(files))

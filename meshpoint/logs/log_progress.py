@@ -7,20 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.progress import (
-    BarColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
-
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.cli import arguments
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.logs.log_clock import Entry, Unpack, clock_of
 from meshpoint.logs.logged_frames import LoggedFrames, expected_frames
-from meshpoint.results.output import complain, console
+from meshpoint.results.output import complain
+from meshpoint.results.progress import Shown
 
 
 @contextmanager
@@ -37,22 +30,10 @@ def logged_frames(
     estimate: once more were read, their number is the total. Of one bus of several it is not known.
     in_sensor_time, unpack: as `LoggedFrames` has them."""
     expected = expected_frames(files) if bus is None else None
-    shown_on = console("-")
-    with Progress(
-        SpinnerColumn(),
-        TextColumn(doing, markup=False),
-        BarColumn(),
-        TextColumn("{task.completed} frames"),
-        TimeRemainingColumn(),
-        console=shown_on,
-        transient=True,
-        disable=not shown_on.is_terminal,  # else an empty line stands before what is said next
-    ) as progress:
-        task = progress.add_task("frames", total=expected)
+    with Shown(doing, "frames", expected) as shown:
 
         def tell(frames: int) -> None:
-            total = None if expected is None else max(expected, frames)
-            progress.update(task, completed=frames, total=total)
+            shown.come_to(frames, None if expected is None else max(expected, frames))
 
         yield LoggedFrames(files, bus, tell, stop, in_sensor_time=in_sensor_time, unpack=unpack)
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import can
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from meshpoint.base.exits import Exit
 from meshpoint.base.provenance import provenance
@@ -35,13 +34,13 @@ from meshpoint.report.beliefs import Beliefs
 from meshpoint.report.comparison import compare, comparison_table, explain, verdict
 from meshpoint.report.plot import plot_shift
 from meshpoint.results.output import (
-    WordsConsole,
     complain,
     console,
     folder_for,
     rows_table,
     write_json,
 )
+from meshpoint.results.progress import Shown
 from meshpoint.results.rows import summarise
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.run.demo_report import demo_run, write_demo_report
@@ -245,17 +244,8 @@ def _opener(bus: list[str]) -> Callable[[], can.BusABC]:
 
 
 def _with_progress(namespace: argparse.Namespace, strategy: str, live: LiveRun) -> LiveResult:
-    progress = Progress(
-        TextColumn(f"{strategy:14}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=WordsConsole(stderr=True),
-        transient=True,
-    )
-    with progress:
-        task = progress.add_task(strategy, total=namespace.shifts)
-        live.on_row = lambda: progress.advance(task)
+    with Shown(strategy, "shifts", namespace.shifts) as shown:
+        live.on_row = shown.advance
         live.on_event = lambda line: _complain(line)
         return run_loop(run_live(live))
 

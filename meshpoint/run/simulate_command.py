@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
 from meshpoint.base.errors import CommandError
 from meshpoint.base.exits import Exit
@@ -57,6 +56,7 @@ from meshpoint.results.output import (
     shown,
     write_json,
 )
+from meshpoint.results.progress import Shown
 from meshpoint.results.rows import ShiftRow, summarise
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.run.firmware_argument import add_firmware, firmware_of
@@ -209,16 +209,7 @@ def run(namespace: argparse.Namespace) -> int:
         log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
         if log is not None:
             stack.enter_context(log)
-        progress = stack.enter_context(
-            Progress(
-                SpinnerColumn(),
-                TextColumn("simulating"),
-                MofNCompleteColumn(),
-                console=console("-"),
-                transient=True,
-            )
-        )
-        task = progress.add_task("shifts", total=setup.shifts)
+        shown = stack.enter_context(Shown("simulating", "shifts", setup.shifts))
 
         def on_frame(time_us: int, frame: Frame) -> None:
             if log is not None:
@@ -227,7 +218,7 @@ def run(namespace: argparse.Namespace) -> int:
                 collector.receive(frame)
 
         def on_row(_row: ShiftRow) -> None:
-            progress.advance(task)
+            shown.advance()
 
         stop = stack.enter_context(interruptible())
         result = simulate(
