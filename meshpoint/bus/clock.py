@@ -30,7 +30,7 @@ class NodeClock(Protocol):
         """The node looks at what has arrived and is due at this clock time."""
 
     def here(self) -> None:
-        """The node has done all that was due by now."""
+        """The node has done all that was due when it began."""
 
     def leave(self) -> None:
         """The node ends."""

@@ -153,7 +153,7 @@ class PacedClock:
         self._node = PACED_NODES.index(name)
         self._heartbeat_us = int(HEARTBEAT_US * max(1.0, speed))
         self._heard_us: int | None = None
-        self._promised_us = 0
+        self._promised_us = self._looked_us = 0
         self._now_us = 0
         self._is_broken = False
 
@@ -175,18 +175,20 @@ class PacedClock:
     def begins(self, now_us: int) -> None:
         """The node has begun to work at this bus time: until it has done, it takes back what it
         has promised beyond."""
+        self._looked_us = now_us
         self._file.promise(self._node, min(now_us, self._promised_us))
 
     def here(self) -> None:
-        """The node has done all that was due. Where others have spoken and none does now, it
-        promises nothing further, until the pacemaker has given up and time has gone on."""
+        """The node has done all that was due when it began: what fell due since, it has not seen,
+        so it promises by then. Where others have spoken and none does now, it promises nothing
+        further, until the pacemaker has given up and time has gone on."""
         now_us = self.now_us()
         if self._heard_us is not None:
             if now_us > self._promised_us + self._heartbeat_us + SLACK_US * max(1.0, self.speed):
                 self._heard_us = None  # given up: there is nobody to wait for
             elif now_us - self._heard_us > BUS_SILENCE_US * max(1.0, self.speed):
                 return
-        self._promised_us = now_us + self._heartbeat_us
+        self._promised_us = self._looked_us + self._heartbeat_us
         self._file.promise(self._node, self._promised_us)
 
     def leave(self) -> None:
@@ -195,11 +197,13 @@ class PacedClock:
             self._file.leave(self._node)
 
     def delay_s(self, until_us: int) -> float:
-        """Wall seconds after which to look again: at `until_us`, or a heartbeat from now."""
-        left_us = until_us - self.now_us()
-        if left_us <= 0:
+        """Wall seconds after which to look again: at `until_us`, or a heartbeat after the last
+        look."""
+        now_us = self.now_us()
+        if until_us <= now_us:
             return 0.0
-        return max(tick_s(self.speed), self.wall_s(min(left_us, self._heartbeat_us)))
+        left_us = min(until_us, self._looked_us + self._heartbeat_us) - now_us
+        return max(tick_s(self.speed), self.wall_s(left_us))
 
     def wall_s(self, clock_us: int) -> float:
         """Wall seconds that a span of bus time takes on a machine that keeps up."""

@@ -78,7 +78,8 @@ def test_time_waits_at_once_for_a_node_that_works(tmp_path):
     node.here()
     for _ in range(10):
         file.set_now(pacemaker.advance(500.0, file.promises_us()))
-    assert node.now_us() == begun_us + 2 * SLACK_US + HEARTBEAT_US
+    # What fell due in the millisecond that the step took was not looked at.
+    assert node.now_us() == begun_us + SLACK_US + HEARTBEAT_US
 
 
 def test_a_node_that_died_is_waited_for_a_second_and_then_no_more():
@@ -159,7 +160,7 @@ from meshpoint.bus.pace import PacedClock, PaceFile
 clock = PacedClock(PaceFile(Path(sys.argv[1])), "rig")
 print("ready", flush=True)
 while True:
-    clock.now_us()
+    clock.begins(clock.now_us())
     clock.here()
     time.sleep(0.001)
 """
@@ -282,6 +283,7 @@ def test_time_waits_for_frames_on_their_way_and_gives_a_silent_bus_up(tmp_path):
 
     def run(milliseconds):
         for _ in range(milliseconds):
+            clock.begins(clock.now_us())
             clock.here()
             file.set_now(pacemaker.advance(1_000.0, file.promises_us()))
 
