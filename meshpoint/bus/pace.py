@@ -197,8 +197,8 @@ class PacedClock:
             self._file.leave(self._node)
 
     def delay_s(self, until_us: int) -> float:
-        """Wall seconds after which to look again: at `until_us`, or a heartbeat after the last
-        look."""
+        """Wall seconds after which to look again: at `until_us`, or a heartbeat after it began
+        to work."""
         now_us = self.now_us()
         if until_us <= now_us:
             return 0.0

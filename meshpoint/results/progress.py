@@ -54,7 +54,7 @@ class Shown:
         self._progress.stop()
 
     def advance(self, by: int = 1) -> None:
-        """So many more are done."""
+        """This number more is done."""
         task = self._progress.tasks[0]
         total = None if task.total is None else int(task.total)
         self.come_to(int(task.completed) + by, total)
@@ -65,7 +65,7 @@ class Shown:
         self.advance()
 
     def come_to(self, completed: int, total: int | None) -> None:
-        """So many are done, of so many; None: nobody knows of how many."""
+        """How much is done, and of how much; None: nobody knows."""
         counted = self._counted(completed, total)
         self._progress.update(self._task, completed=completed, total=total, counted=counted)
         if not self._is_drawn and monotonic() - self._said_s >= self._every_s:
