@@ -30,12 +30,20 @@ static bool take(struct valve_slot *slot, const struct valve_order *order, int64
     return false;
 }
 
-static void activate(struct valve_slot *slot, int64_t now_us) {
+/* `other` is of the same sleeve: what goes off at its time takes it along, so that one frame can
+ * say a pulse whole. */
+static void activate(struct valve_slot *slot, struct valve_slot *other, int64_t now_us) {
     if (slot->pending.is_set && slot->pending.at_us <= now_us) {
         slot->is_on = slot->pending.on;
+        other->is_on = other->is_on && slot->is_on;
         slot->passed = slot->pending;
         slot->pending.is_set = false;
     }
+}
+
+/* Whether its activation comes before the other one's; of one instant, off before on. */
+static bool is_sooner(const struct activation *a, const struct activation *b) {
+    return !b->is_set || a->at_us < b->at_us || (a->at_us == b->at_us && !a->on);
 }
 
 /* The sensor clock as it goes on: a step of it goes back at most half of its range. */
@@ -58,8 +66,16 @@ void valves_command(struct valves *valves, const struct valve_order orders[HAL_V
 
 void valves_run(struct valves *valves, uint32_t sensor_us, uint32_t own_us) {
     unwrap(valves, sensor_us);
-    for (unsigned i = 0; i < HAL_VALVES; i++) {
-        activate(&valves->slots[i], valves->clock_us);
+    activate(&valves->slots[0], &valves->slots[0], valves->clock_us); /* the brake */
+    for (unsigned i = 1; i < HAL_VALVES; i += 2) {
+        struct valve_slot *first = &valves->slots[i];
+        struct valve_slot *last = &valves->slots[i + 1];
+        if (!is_sooner(&first->pending, &last->pending)) {
+            first = last;
+            last = &valves->slots[i];
+        }
+        activate(first, last, valves->clock_us);
+        activate(last, first, valves->clock_us);
     }
     if (valves->is_held && (int32_t)(own_us - valves->expiry_us) >= 0) {
         valves->expired_count++;

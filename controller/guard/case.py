@@ -95,13 +95,21 @@ NO_PULLS: Final[frozenset[int]] = frozenset()
 def spans(wish: ValveRequest, before: Spans, now_us: int) -> Spans:
     """When each valve would be driven if this command passed.
 
-    before: the spans of the command passed last; now_us: sensor time."""
+    An OFF_AT releases both valves of a sleeve. before: the spans of the command passed last;
+    now_us: sensor time."""
     if not any(wish.actions):
         return NO_SPANS
-    return tuple(
+    found = [
         _span(action, time_us, was, now_us)
         for action, time_us, was in zip(wish.actions, wish.times_us, before, strict=True)
-    )
+    ]
+    for valve, other in OTHER_OF_DOG.items():
+        span = found[other]
+        if wish.actions[valve] == OFF_AT and span is not None:
+            off_us = now_us + signed_us(wish.times_us[valve] - now_us)
+            if max(span.start_us, now_us) < off_us < span.end_us:
+                found[other] = Span(span.start_us, off_us)
+    return tuple(found)
 
 
 def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | None:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.plan.strategy import BUS_US
 from meshpoint.controller.settings.settings import ValveTiming
-from meshpoint.controller.settings.valve_name import DOG_VALVE, ValveName
+from meshpoint.controller.settings.valve_name import DOG_OPPOSITE, DOG_VALVE, ValveName
 from meshpoint.controller.sleeve.sleeves import Sleeves
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.sensor_time import wrap
@@ -70,7 +70,8 @@ class ValveBoard:
     def pulse(self, valve: ValveName, on_us: int, off_us: int, now_us: int) -> None:
         """Switch the valve on from one sensor time to another; replaces what was still to come.
 
-        A valve has one slot at the valve side: the end is sent when the beginning has passed."""
+        A valve has one slot at the valve side: the end is sent again when the beginning has
+        passed."""
         before = self.driven(valve, now_us)
         self._commands[valve] = SwitchCommand(on_us, True, before, off_us)
         self._message = None
@@ -126,8 +127,19 @@ class ValveBoard:
 
     def _make_message(self, now_us: int) -> ValveCommand:
         said = [self._action(command, now_us) for command in self._commands.values()]
+        if self.keeps_times:
+            self._say_ends(said, now_us)
         # The frame has all actions, then all times, each in the order of `ValveName`.
         return ValveCommand._make([*map(_ACTION, said), *map(_TIME_US, said)])
+
+    def _say_ends(self, said: list[tuple[ValveAction, int]], now_us: int) -> None:
+        """The end of a pulse that waits, in the slot of its sleeve's other valve, if that is off:
+        whatever frames are lost, the pulse gets no longer."""
+        for gear, valve in DOG_VALVE.items():
+            command, other = self._commands[valve], DOG_OPPOSITE[gear]
+            if now_us < command.time_us < command.until_us < FOREVER_US:
+                if said[other][0] is ValveAction.OFF_NOW:
+                    said[other] = ValveAction.OFF_AT, wrap(command.until_us)
 
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message's content changes although no new command is given."""

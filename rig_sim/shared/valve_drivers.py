@@ -9,6 +9,8 @@ must not keep a valve on. Rules (wire contract, ValveCommand):
   whether it is still pending or has passed; one that has passed is never armed again.
 * An activation first received more than 2 ms late or more than 100 ms ahead is refused: counted,
   once however often it is resent, the slot emptied, the valve left as it is.
+* OFF_AT that passes switches the other valve of its sleeve off, too: with ON_AT of that one a pulse
+  is said whole, and a lost command does not lengthen it.
 * 100 ms of own time after the last command all valves switch off, all slots are emptied; counted.
 """
 
@@ -37,6 +39,10 @@ class Valve(IntEnum):
     MAIN_THIRD = 6
     RANGE_LOW = 7
     RANGE_HIGH = 8
+
+
+OTHER_OF_SLEEVE: Final = (None, 2, 1, 4, 3, 6, 5, 8, 7)
+"""By valve: the one that pushes its sleeve the other way."""
 
 
 class Order(NamedTuple):
@@ -83,16 +89,8 @@ class _Driver:
         if not -MAX_LATE_US <= ahead <= MAX_AHEAD_US:
             self.refused = wanted
             return True
-        if ahead <= 0:
-            self.energised, self.passed = wanted.on, wanted
-        else:
-            self.pending = wanted
+        self.pending = wanted  # one that is late already is done by the `activate` that follows
         return False
-
-    def run(self, now_us: int) -> None:
-        if self.pending is not None and self.pending.time_us <= now_us:
-            self.energised, self.passed = self.pending.on, self.pending
-            self.pending = None
 
 
 class ValveBank:
@@ -118,7 +116,7 @@ class ValveBank:
         for driver, order in zip(self._drivers, orders, strict=True):
             self.refused += driver.order(order, clock_us)
         self.expiry_us = own_us + EXPIRY_US
-        return self._changes()
+        return self.activate(clock_us)
 
     def renew(self, own_us: int) -> bool:
         """The orders of the command before, once more: nothing changes but the expiry.
@@ -131,8 +129,16 @@ class ValveBank:
 
     def activate(self, clock_us: int) -> list[Change]:
         """Do what is due by the sensor clock (not later: call at `activation_us`)."""
-        for driver in self._drivers:
-            driver.run(clock_us)
+        due = [
+            (waits.time_us, waits.on, valve)
+            for valve, driver in enumerate(self._drivers)
+            if (waits := driver.pending) is not None and waits.time_us <= clock_us
+        ]
+        for _, on, valve in sorted(due):  # of one instant, offs before ons
+            driver, other = self._drivers[valve], OTHER_OF_SLEEVE[valve]
+            driver.energised, driver.passed, driver.pending = on, driver.pending, None
+            if not on and other is not None:
+                self._drivers[other].energised = False
         return self._changes()
 
     def expire(self, own_us: int) -> list[Change]:
