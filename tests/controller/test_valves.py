@@ -75,6 +75,26 @@ def test_of_a_pulse_the_end_goes_out_once_the_beginning_has_passed() -> None:
     assert [command.rests(T0 + us) for us in (0, 12_000, 22_500)] == [False, False, True]
 
 
+def test_the_end_of_a_pulse_goes_out_with_its_beginning_in_the_slot_of_the_other_valve() -> None:
+    """Two lost frames made a pull so long that the sleeve ran through to the opposite gear."""
+    board = scheduled()
+    board.pulse(ValveName.SPLIT_HIGH, T0 + 12_000, T0 + 22_500, T0)
+    sent = [board.message(T0 + ms * 1_000) for ms in (0, 11, 12, 20)]
+    said = [(message.split_low_action, message.split_low_time_us) for message in sent]
+    end, off = (ValveAction.OFF_AT, 5_022_500), (ValveAction.OFF_NOW, 0)
+    assert said == [end, end, off, off]
+    board.off(ValveName.SPLIT_HIGH)
+    assert board.message(T0 + 21_000) == ValveCommand()
+
+
+def test_the_slot_of_a_valve_that_is_on_carries_no_end_but_its_own() -> None:
+    board = scheduled()
+    board.schedule(ValveName.MAIN_FIRST, True, T0 - 20_000, T0 - 30_000)
+    board.schedule(ValveName.MAIN_FIRST, False, T0 + 5_000, T0)
+    board.pulse(ValveName.MAIN_SECOND, T0 + 6_000, T0 + 16_000, T0)
+    assert board.message(T0).main_first_time_us == 5_005_000
+
+
 def test_the_end_of_a_pulse_does_not_wait_for_the_next_tick() -> None:
     """A pulse that stops a sleeve is shorter than a tick: told on the next one, its end came up to
     a millisecond after its time, and was refused where that tick was late by 1 ms more."""

@@ -267,6 +267,19 @@ def test_the_two_valves_of_a_sleeve_are_never_on_together(
     assert bench.memory.coils_together == 0
 
 
+@pytest.mark.parametrize(("low", "high"), PAIRS)
+def test_a_release_of_the_other_valve_of_its_sleeve_ends_a_pulse(
+    bench: CommandBench, low: str, high: str
+) -> None:
+    for pushes, other in ((low, high), (high, low)):
+        now_us, own_us = bench.now_us, bench.memory.own_us
+        bench.command(**{pushes: (ON_AT, now_us + 9_000), other: (OFF_AT, now_us + 23_000)})
+        bench.wait(40_000)
+        assert [(at_us - own_us, driven) for at_us, driven in bench.switched()][-2:] == [
+            (9_000, {pushes}), (23_000, set()),
+        ]  # fmt: skip
+
+
 def test_the_output_stage_by_itself_drives_nine_valves_and_of_a_sleeve_one(
     bench: CommandBench,
 ) -> None:

@@ -51,6 +51,41 @@ def test_an_activation_happens_at_its_microsecond() -> None:
     assert bank.energised[Valve.BRAKE] and not bank.pending[Valve.BRAKE]
 
 
+def orders(**given: tuple[ValveAction, int]) -> tuple[Order, ...]:
+    """Of the valves named; all others off."""
+    return tuple(Order(*given.get(valve.name.lower(), (OFF, 0))) for valve in Valve)
+
+
+@pytest.mark.parametrize(
+    ("pushes", "other"),
+    [("main_first", "main_second"), ("split_high", "split_low"), ("range_low", "range_high")],
+)
+def test_a_release_of_the_other_valve_of_its_sleeve_ends_a_pulse(pushes: str, other: str) -> None:
+    bank, valve = ValveBank(), Valve[pushes.upper()]
+    pulse = orders(**{pushes: (ON_AT, 9_000), other: (OFF_AT, 23_000), "brake": (ON, 0)})
+    bank.command(pulse, 0, 0)
+    assert run_to(bank, 12_000) == [At(valve, True, 9_000)]
+    bank.command(pulse, 12_000, 12_000)  # sent again: it goes on as it was
+    assert run_to(bank, 90_000) == [At(valve, False, 23_000)]
+
+
+def test_a_release_leaves_a_valve_that_goes_on_with_it_or_later() -> None:
+    for on_us in (23_000, 23_001):
+        bank = ValveBank()
+        bank.command(orders(main_first=(ON, 0)), 0, 0)
+        turned = orders(main_first=(OFF_AT, 23_000), main_second=(ON_AT, on_us))
+        bank.command(turned, 1_000, 1_000)
+        run_to(bank, 30_000)
+        assert bank.energised[Valve.MAIN_SECOND] and not bank.energised[Valve.MAIN_FIRST]
+
+
+def test_both_times_of_a_pulse_come_true_at_once_as_the_clock_steps() -> None:
+    bank = ValveBank()
+    bank.command(orders(main_second=(ON_AT, 9_000), main_first=(OFF_AT, 23_000)), 0, 0)
+    assert bank.activate(2_000_000) == []
+    assert not any(bank.energised) and not any(bank.pending)
+
+
 def test_the_newest_frame_replaces_or_cancels() -> None:
     bank = ValveBank()
     bank.command(brake(ON_AT, 30_000), 0, 0)
