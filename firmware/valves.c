@@ -30,12 +30,12 @@ static bool take(struct valve_slot *slot, const struct valve_order *order, int64
     return false;
 }
 
-/* `other` is of the same sleeve: what goes off at its time takes it along, so that one frame can
- * say a pulse whole. */
+/* `other` is of the same sleeve: it goes off, so that ON_AT of one and OFF_AT of the other say a
+ * pulse whole. */
 static void activate(struct valve_slot *slot, struct valve_slot *other, int64_t now_us) {
     if (slot->pending.is_set && slot->pending.at_us <= now_us) {
-        slot->is_on = slot->pending.on;
-        other->is_on = other->is_on && slot->is_on;
+        other->is_on = false;
+        slot->is_on = slot->pending.on; /* of the brake, which has no other, this alone */
         slot->passed = slot->pending;
         slot->pending.is_set = false;
     }
@@ -43,7 +43,7 @@ static void activate(struct valve_slot *slot, struct valve_slot *other, int64_t 
 
 /* Whether its activation comes before the other one's; of one instant, off before on. */
 static bool is_sooner(const struct activation *a, const struct activation *b) {
-    return !b->is_set || a->at_us < b->at_us || (a->at_us == b->at_us && !a->on);
+    return !b->is_set || a->at_us < b->at_us || (a->at_us == b->at_us && (!a->on || b->on));
 }
 
 /* The sensor clock as it goes on: a step of it goes back at most half of its range. */

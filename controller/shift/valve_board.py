@@ -58,6 +58,8 @@ class ValveBoard:
         self.ahead_us = 0 if self.keeps_times else wire_us
         """By this much sooner a switch is sent."""
         self._commands: dict[ValveName, SwitchCommand] = dict.fromkeys(ValveName, OFF)
+        self._rest: set[ValveName] = set(ValveName)
+        """Those that the message before left off."""
         self._message: ValveCommand | None = None
         self._message_until_us = 0
 
@@ -127,19 +129,23 @@ class ValveBoard:
 
     def _make_message(self, now_us: int) -> ValveCommand:
         said = [self._action(command, now_us) for command in self._commands.values()]
+        rest = {valve for valve in ValveName if said[valve][0] is ValveAction.OFF_NOW}
         if self.keeps_times:
-            self._say_ends(said, now_us)
+            self._say_ends(said, self._rest & rest, now_us)
+        self._rest = rest
         # The frame has all actions, then all times, each in the order of `ValveName`.
         return ValveCommand._make([*map(_ACTION, said), *map(_TIME_US, said)])
 
-    def _say_ends(self, said: list[tuple[ValveAction, int]], now_us: int) -> None:
-        """The end of a pulse that waits, in the slot of its sleeve's other valve, if that is off:
-        whatever frames are lost, the pulse gets no longer."""
+    def _say_ends(
+        self, said: list[tuple[ValveAction, int]], rest: set[ValveName], now_us: int
+    ) -> None:
+        """The end of a pulse that waits, in the slot of its sleeve's other valve, if that was off
+        before: whatever frames are lost then, the pulse gets no longer."""
         for gear, valve in DOG_VALVE.items():
             command, other = self._commands[valve], DOG_OPPOSITE[gear]
-            if now_us < command.time_us < command.until_us < FOREVER_US:
-                if said[other][0] is ValveAction.OFF_NOW:
-                    said[other] = ValveAction.OFF_AT, wrap(command.until_us)
+            waits = now_us < command.time_us < command.until_us < FOREVER_US
+            if waits and other in rest:
+                said[other] = ValveAction.OFF_AT, wrap(command.until_us)
 
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message's content changes although no new command is given."""

@@ -9,8 +9,8 @@ must not keep a valve on. Rules (wire contract, ValveCommand):
   whether it is still pending or has passed; one that has passed is never armed again.
 * An activation first received more than 2 ms late or more than 100 ms ahead is refused: counted,
   once however often it is resent, the slot emptied, the valve left as it is.
-* OFF_AT that passes switches the other valve of its sleeve off, too: with ON_AT of that one a pulse
-  is said whole, and a lost command does not lengthen it.
+* An activation that passes switches the other valve of its sleeve off: ON_AT of one and OFF_AT of
+  the other, which is off, say a pulse whole, and no lost command lengthens it.
 * 100 ms of own time after the last command all valves switch off, all slots are emptied; counted.
 """
 
@@ -137,7 +137,7 @@ class ValveBank:
         for _, on, valve in sorted(due):  # of one instant, offs before ons
             driver, other = self._drivers[valve], OTHER_OF_SLEEVE[valve]
             driver.energised, driver.passed, driver.pending = on, driver.pending, None
-            if not on and other is not None:
+            if other is not None:
                 self._drivers[other].energised = False
         return self._changes()
 

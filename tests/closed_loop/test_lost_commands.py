@@ -21,7 +21,7 @@ MAIN = (Valve.MAIN_FIRST, Valve.MAIN_SECOND, Valve.MAIN_CRAWL, Valve.MAIN_THIRD)
 Spoil = Callable[[Frame], list[Frame]]
 
 
-def lost(frame: Frame) -> list[Frame]:  # noqa: ARG001
+def lost(frame: Frame) -> list[Frame]:
     return []
 
 

@@ -87,12 +87,16 @@ def test_the_end_of_a_pulse_goes_out_with_its_beginning_in_the_slot_of_the_other
     assert board.message(T0 + 21_000) == ValveCommand()
 
 
-def test_the_slot_of_a_valve_that_is_on_carries_no_end_but_its_own() -> None:
+def test_a_valve_that_goes_off_now_does_so_and_carries_the_others_end_from_then_on() -> None:
+    """A sleeve in flight is stopped: its valve would have gone off as the pulse against it ends."""
     board = scheduled()
     board.schedule(ValveName.MAIN_FIRST, True, T0 - 20_000, T0 - 30_000)
-    board.schedule(ValveName.MAIN_FIRST, False, T0 + 5_000, T0)
+    assert board.message(T0 - 10_000).main_first_action is ValveAction.ON_AT
+    board.off(ValveName.MAIN_FIRST)
     board.pulse(ValveName.MAIN_SECOND, T0 + 6_000, T0 + 16_000, T0)
-    assert board.message(T0).main_first_time_us == 5_005_000
+    assert board.message(T0).main_first_action is ValveAction.OFF_NOW
+    board.pulse(ValveName.MAIN_SECOND, T0 + 6_500, T0 + 16_500, T0)
+    assert board.message(T0 + 5_000).main_first_time_us == 5_016_500
 
 
 def test_the_end_of_a_pulse_does_not_wait_for_the_next_tick() -> None:
