@@ -13,6 +13,7 @@ from meshpoint.campaigns.draw import draw, upshifts
 from meshpoint.campaigns.loop import ClosedLoop
 from meshpoint.controller.plan.target_phase import TargetPhase
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.valve_name import OPPOSITE
 from meshpoint.dbc.messages import ShiftOutcome, ValveAction, ValveCommand, ValveStatus
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
@@ -95,7 +96,8 @@ def test_the_end_of_a_pulse_is_told_as_soon_as_it_has_begun(
 
 
 def ends_ahead_us(loop: Loop) -> Iterator[int]:
-    """How long before its time the end of each pulse of a main sleeve's valve is on the bus."""
+    """How long before its time the end of each pulse of a main sleeve's valve that is on is on the
+    bus."""
     begun: dict[str, int] = {}
     told: set[tuple[str, int]] = set()
     sampled_us = at_us = 0
@@ -110,7 +112,10 @@ def ends_ahead_us(loop: Loop) -> Iterator[int]:
             time_us = getattr(message, f"{valve}_time_us")
             if action is ValveAction.ON_AT:
                 begun[valve] = time_us
-            elif action is ValveAction.OFF_AT and (valve, time_us) not in told:
+                continue
+            other = getattr(message, f"{OPPOSITE[gear].name.lower()}_action")
+            is_end = action is ValveAction.OFF_AT and other is not ValveAction.ON_AT
+            if is_end and (valve, time_us) not in told:
                 told.add((valve, time_us))
                 assert valve in begun
                 yield time_us - sampled_us - (now_us - at_us)
