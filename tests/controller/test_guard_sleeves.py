@@ -258,6 +258,17 @@ def test_a_pull_without_an_end_is_blocked_while_the_next_command_can_still_end_i
         assert row(guard, at(ms, 12.0), {FIRST: (ON_AT, 2.0)}) == forbidden
 
 
+@pytest.mark.parametrize(("end_ms", "forbidden"), [(25.843, None), (25.844, 3), (14.0, 3)])
+def test_its_end_may_be_said_with_its_beginning_by_the_sleeves_other_valve(
+    end_ms: float, forbidden: int | None
+) -> None:
+    """A release that has passed says nothing of a valve that is asked to stay on."""
+    guard = ready()
+    for ms, found in ((3.0, None), (15.0, forbidden)):
+        orders = {FIRST: (ON_AT, 5.0), SECOND: (OFF_AT, end_ms)}
+        assert row(guard, at(ms, 12.0), orders) == found
+
+
 def test_pulls_in_a_row_count_as_one_until_the_sleeve_is_seen_to_stand() -> None:
     guard = ready()
     assert row(guard, at(0, 12.0), {FIRST: (ON_AT, 2.0)}) is None
