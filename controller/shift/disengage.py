@@ -32,7 +32,14 @@ from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.sleeve.stroke import Pulse
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
-from meshpoint.gearbox.gears import MAIN_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN, DogGear, Sleeve
+from meshpoint.gearbox.gears import (
+    MAIN_GEARS,
+    MAIN_SLEEVES,
+    SIDE_OF,
+    SLEEVE_OF_MAIN,
+    DogGear,
+    Sleeve,
+)
 from meshpoint.units import SECOND_US
 
 CLEAR_M: Final = 1.0e-3
@@ -134,6 +141,12 @@ def pull_out(context: ShiftContext, snapshot: StepSnapshot, gear: DogGear) -> No
             return  # each step would put it off once more
         context.board.pulse(valve, pulse.on_us, pulse.off_us, now_us)
         shift.pull_again_us = pulse.off_us + max(PULL_PAUSE_US, _shows_us(context, snapshot, gear))
+    elif command.rests(now_us) and context.board.command(DOG_VALVE[gear]).rests(now_us):
+        # One that has begun early shows before its gear is measured out.
+        sleeve = SIDE_OF[gear].sleeve
+        brake = context.sleeves.brake(sleeve, snapshot.at_once_us)
+        if brake is not None:
+            _push(context, snapshot, sleeve, brake)
 
 
 def _shows_us(context: ShiftContext, snapshot: StepSnapshot, gear: DogGear) -> int:
@@ -216,14 +229,20 @@ def bring_to_neutral(
             return True
         pulse = context.sleeves.to_neutral(sleeve, snapshot.at_once_us)
         if pulse is not None:
-            if not _brakes(context, pulse):
-                pulse = ends_in_time(context, snapshot, pulse)
-            context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
-            if context.shift is not None:
-                context.shift.pushed_us = pulse.off_us
-                context.shift.is_braked = _brakes(context, pulse)
+            _push(context, snapshot, sleeve, pulse)
             return True
     return _moves(context, snapshot, sleeves)
+
+
+def _push(context: ShiftContext, snapshot: StepSnapshot, sleeve: Sleeve, pulse: Pulse) -> None:
+    """Sends a sleeve on to neutral, or brakes it on its way."""
+    if not _brakes(context, pulse):
+        pulse = ends_in_time(context, snapshot, pulse)
+    context.board.pulse(pulse.valve, pulse.on_us, pulse.off_us, snapshot.now_us)
+    if context.shift is not None:
+        context.shift.pushed_us = pulse.off_us
+        context.shift.is_braked = _brakes(context, pulse)
+        context.shift.flies = context.shift.is_braked or not snapshot.view.rests(sleeve)
 
 
 def _withdraw_push(context: ShiftContext, snapshot: StepSnapshot) -> None:
@@ -320,7 +339,7 @@ def _is_out(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Whether the main sleeves are seen clear of all teeth, stay so by their commands, and do not
     move towards them, nor are being braked, which may bring one back. Neutral is not waited for:
     one that falls short takes far longer to it."""
-    if context.running.is_braked and not context.main_valves_rest(snapshot.now_us):
+    if context.running.flies and not context.main_valves_rest(snapshot.now_us):
         return False
     clear_m = context.sheet.sleeve.to_contact_m - CLEAR_M
     for sleeve in MAIN_SLEEVES:

@@ -52,7 +52,7 @@ def leg_done(context: ShiftContext, snapshot: StepSnapshot, ended_us: int | None
         return Trigger.ENGAGED
     set_goal(context, shift.after, snapshot)
     shift.pulls = shift.pull_again_us = shift.returns = 0
-    shift.pushed_us, shift.is_braked = None, False
+    shift.pushed_us, shift.is_braked, shift.flies = None, False, False
     context.engine_rad_s, context.clutch = None, ClutchAction.OPEN
     context.all_off(snapshot.now_us)
     return Trigger.LEG_DONE

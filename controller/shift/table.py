@@ -194,7 +194,9 @@ class ShiftRecord:
     pushed_us: int | None = None
     """When a valve last went off that pushed a sleeve on to neutral, or braked it there."""
     is_braked: bool = False
-    """Whether it braked the sleeve."""
+    """Whether the guard takes it to have braked the sleeve."""
+    flies: bool = False
+    """Whether the sleeve moved as it was pushed: it may come back to the gear that it came from."""
     returns: int = 0
     """How often a sleeve that had left neutral was brought back."""
     pull_again_us: int = 0

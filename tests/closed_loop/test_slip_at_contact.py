@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 from loop_bench import Loop
 
+from meshpoint.campaigns.draw import draw, upshifts
+from meshpoint.campaigns.loop import ClosedLoop
+from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import FaultCode, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
 from meshpoint.results.rows import RowCollector, ShiftRow
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 
@@ -50,3 +54,25 @@ def test_a_shift_without_a_fault_meets_no_gear_outside_the_window() -> None:
     assert loop.violations == 0
     assert loop.outcomes[0].fault is FaultCode.NONE
     assert row_of(loop).outside_window == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("gearbox", "judged"), [(917_000_028, 13), (917_000_095, 1)])
+def test_a_pull_whose_valve_comes_early_and_shuts_late_meets_no_other_gear(
+    gearbox: int, judged: int
+) -> None:
+    """By 6 and 8 ms together. Red before: 9 to 11, first gear met at -289 and -286 rpm."""
+    learned = 6
+    drawn = draw(gearbox, TRUCK12, Preset.TRUCK, upshifts(), learned + 16, {}, Profile.HARSH)
+    loop = ClosedLoop(TRUCK12, ControllerSettings(), Preset.TRUCK, drawn)
+    for _ in range(learned):
+        loop.shift()
+    assert drawn.judged
+    loop.change_conditions(drawn.judged)
+    for _ in range(judged):
+        loop.shift()
+    loop.prepare()
+    row = loop.shift()
+    assert row is not None
+    assert (row.from_, row.to) == (9, 11)
+    assert (row.result, row.fault, row.outside_window) == ("engaged", "none", 0)

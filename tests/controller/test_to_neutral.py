@@ -23,7 +23,7 @@ from meshpoint.controller.sleeve.stroke import Pulse
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import ShiftResult, ValveAction
 from meshpoint.dbc.sensor_time import wrap
-from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox import MainGear, load_sheet
 
 SHEET = load_sheet("truck12")
 STRONG_DETENT = Cylinder(
@@ -32,6 +32,7 @@ STRONG_DETENT = Cylinder(
 """It draws what comes past neutral a little on to the other gear."""
 MADE = {**CYLINDERS, "strong detent": STRONG_DETENT}
 LEAD_US, NOW_US = 4_000, 1_000_000
+PULLS, BRAKES = ValveName.MAIN_SECOND, ValveName.MAIN_FIRST
 HARSH_MS = 5.0
 """A valve of `harsh` is up to this much early or late."""
 
@@ -178,5 +179,51 @@ def test_no_shift_goes_on_while_a_sleeve_that_comes_through_neutral_is_to_be_bra
             assert box.step() is State.DISENGAGING
             if abs(box.position_m[SLEEVE]) < VIEW_NEUTRAL_M:
                 passed.append(box.position_m[SLEEVE])
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+def braked_once(monkeypatch: pytest.MonkeyPatch, after_ms: int, *, is_stuck: bool) -> Box:
+    """A sleeve is pulled; so long after its valve went off it is known to be thrown through, and
+    is braked."""
+    box = Box(7, 150.0, phase_rad=0.0).ready()
+    box.ask(9)
+    box.until(State.DISENGAGING)
+    if is_stuck:
+        box.stuck.add(SLEEVE)
+    from_us, begun = box.board.command(PULLS).until_us + 1_000 * after_ms, list[int]()
+
+    def brake(_: Sleeves, sleeve: object, at_us: int) -> Pulse | None:
+        if sleeve is not SLEEVE or at_us < from_us or (begun and at_us != begun[0]):
+            return None
+        begun.append(at_us)
+        return Pulse(BRAKES, at_us, at_us + 9_000, 0.0)
+
+    monkeypatch.setattr(Sleeves, "brake", brake)
+    while not begun and box.now_us < from_us + 30_000:
+        box.step()
+    return box
+
+
+def test_a_sleeve_is_braked_while_its_gear_is_measured_in_as_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A pull that has begun early is known to be one within its first millimetre. Red before: its
+    brake came a step later, and of 9 to 11 (`harsh`, gearboxes 917000028 and 917000095) the sleeve
+    met first gear at -290 rpm."""
+    box = braked_once(monkeypatch, 0, is_stuck=True)
+    assert box.view.main_gear is MainGear.FIRST
+    assert box.board.command(BRAKES).on
+
+
+def test_no_air_comes_into_the_layshafts_brake_while_a_sleeve_is_braked_however_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """More than 20 ms after the pull the guard takes the sleeve's brake for a firing, and the air
+    with it for a brake in gear. Red before: row 5 kept both back, and the sleeve was thrown."""
+    box = braked_once(monkeypatch, 21, is_stuck=False)
+    while not box.board.command(BRAKES).rests(box.now_us):
+        assert not box.board.command(ValveName.BRAKE).on
+        assert box.step() is State.DISENGAGING
     box.until(State.IN_GEAR)
     assert box.records[-1].result is ShiftResult.ENGAGED
