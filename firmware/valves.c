@@ -30,20 +30,31 @@ static bool take(struct valve_slot *slot, const struct valve_order *order, int64
     return false;
 }
 
-/* `other` is of the same sleeve: it goes off, so that ON_AT of one and OFF_AT of the other say a
- * pulse whole. */
-static void activate(struct valve_slot *slot, struct valve_slot *other, int64_t now_us) {
-    if (slot->pending.is_set && slot->pending.at_us <= now_us) {
-        other->is_on = false;
-        slot->is_on = slot->pending.on; /* of the brake, which has no other, this alone */
-        slot->passed = slot->pending;
-        slot->pending.is_set = false;
+/* Does what is due; whether anything was. */
+static bool activate(struct valve_slot *slot, int64_t now_us) {
+    if (!slot->pending.is_set || slot->pending.at_us > now_us) {
+        return false;
     }
+    slot->is_on = slot->pending.on;
+    slot->passed = slot->pending;
+    slot->pending.is_set = false;
+    return true;
 }
 
-/* Whether its activation comes before the other one's; of one instant, off before on. */
-static bool is_sooner(const struct activation *a, const struct activation *b) {
-    return !b->is_set || a->at_us < b->at_us || (a->at_us == b->at_us && (!a->on || b->on));
+/* Both valves of a sleeve: what one does switches the other off, so that ON_AT of one and OFF_AT of
+ * the other say a pulse whole. Of two that are due the later one is left; of one instant, an on. */
+static void activate_both(struct valve_slot *a, struct valve_slot *b, int64_t now_us) {
+    bool is_a = activate(a, now_us);
+    bool is_b = activate(b, now_us);
+    if (is_a && is_b) {
+        is_b = b->passed.at_us > a->passed.at_us ||
+               (b->passed.at_us == a->passed.at_us && b->passed.on);
+    }
+    if (is_b) {
+        a->is_on = false;
+    } else if (is_a) {
+        b->is_on = false;
+    }
 }
 
 /* The sensor clock as it goes on: a step of it goes back at most half of its range. */
@@ -66,16 +77,9 @@ void valves_command(struct valves *valves, const struct valve_order orders[HAL_V
 
 void valves_run(struct valves *valves, uint32_t sensor_us, uint32_t own_us) {
     unwrap(valves, sensor_us);
-    activate(&valves->slots[0], &valves->slots[0], valves->clock_us); /* the brake */
+    (void)activate(&valves->slots[0], valves->clock_us); /* the brake */
     for (unsigned i = 1; i < HAL_VALVES; i += 2) {
-        struct valve_slot *first = &valves->slots[i];
-        struct valve_slot *last = &valves->slots[i + 1];
-        if (!is_sooner(&first->pending, &last->pending)) {
-            first = last;
-            last = &valves->slots[i];
-        }
-        activate(first, last, valves->clock_us);
-        activate(last, first, valves->clock_us);
+        activate_both(&valves->slots[i], &valves->slots[i + 1], valves->clock_us);
     }
     if (valves->is_held && (int32_t)(own_us - valves->expiry_us) >= 0) {
         valves->expired_count++;

@@ -17,7 +17,11 @@ from loop_bench import Loop
 
 from meshpoint.controller.core.core import ControllerCore
 from meshpoint.controller.settings.header import RunHeader
-from meshpoint.controller.settings.settings import ControllerSettings, ShiftLimits
+from meshpoint.controller.settings.settings import (
+    ControllerSettings,
+    ShiftLimits,
+    ValveTiming,
+)
 from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.link import Transmitter
@@ -94,6 +98,7 @@ class Deed:
     before: Callable[[Loop], None] = lambda _: None
     lasts_us: int = 700_000
     valve_on_ms: int = 3_000
+    timing: ValveTiming = ValveTiming.SCHEDULED
 
 
 def truth(loop: Loop) -> Any:
@@ -178,7 +183,8 @@ def main_box_rests(loop: Loop) -> None:
 FIRST, SECOND, CRAWL = ValveName.MAIN_FIRST, ValveName.MAIN_SECOND, ValveName.MAIN_CRAWL
 NEUTRAL = State.SYNCHRONISING
 DEEDS = [
-    Deed(1, (FIRST, SECOND), violated(Violation.BOTH_VALVES)),
+    # By commands that act at once: of two that wait for a time the valve side keeps one on.
+    Deed(1, (FIRST, SECOND), violated(Violation.BOTH_VALVES), timing=ValveTiming.IMMEDIATE),
     Deed(2, (CRAWL,), violated(Violation.TWO_GEARS)),
     Deed(3, (ValveName.MAIN_THIRD,), met_a_gear_at(200.0), begins=NEUTRAL),
     Deed(4, (SECOND,), moved, begins=NEUTRAL, before=dead_layshaft_sensor),
@@ -199,7 +205,9 @@ DEEDS = [
 def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
     loop = Loop(
         [(300_000, 10)] if deed.begins is not State.IN_GEAR else [],
-        settings=ControllerSettings(limits=ShiftLimits(valve_on_ms=deed.valve_on_ms)),
+        settings=ControllerSettings(
+            valve_timing=deed.timing, limits=ShiftLimits(valve_on_ms=deed.valve_on_ms)
+        ),
         sheet=TRUCK12,
         preset=Preset.TRUCK,
         start_gear=deed.gear,

@@ -93,7 +93,7 @@ def test_what_a_blind_guard_lets_through_is_seen_made_small_and_repeated_from_a_
     events = (Event(900, "mad_both_valves", 0, 0.0, 2_000), *noise)
     world = World(6, 8, 1400.0, {}, tuple(sorted(events)), 4_000)
     (broken,) = run(world).broken
-    assert broken.what == "both_valves"
+    assert broken.what == "slip_at_contact"
     small = shrink(world, broken, lambda each: breaks(SPEC, each, broken.what))
     assert [event.kind for event in small.events] == ["mad_both_valves"]
     path = tmp_path / "found.json"
@@ -101,7 +101,7 @@ def test_what_a_blind_guard_lets_through_is_seen_made_small_and_repeated_from_a_
     assert load_world(path) == small
     arguments = ["--scenario", str(path), "--json", str(tmp_path / "j")]
     assert main(arguments) == 1
-    assert json.loads((tmp_path / "j").read_text())["broken"][0]["what"] == "both_valves"
+    assert json.loads((tmp_path / "j").read_text())["broken"][0]["what"] == "slip_at_contact"
     monkeypatch.undo()
     assert main(arguments) == 0
 

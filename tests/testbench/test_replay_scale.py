@@ -19,6 +19,7 @@ from meshpoint.logs import log_progress
 from meshpoint.logs.logged_frames import expected_frames
 from meshpoint.replays.replay_rows import ReplayRows
 from meshpoint.results.output import write_json
+from meshpoint.results.progress import Shown
 
 SHORT, LONG = 1, 2
 SHIFTS_OF_A_DAY = 24 * 120
@@ -143,12 +144,12 @@ def test_the_bar_counts_each_frame_once_and_never_past_its_total(
 ) -> None:
     shown: list[tuple[int, int | None]] = []
 
-    class Shown(log_progress.Progress):
-        def update(self, task_id: Any, **values: Any) -> None:
-            super().update(task_id, **values)
-            shown.append((values["completed"], self.tasks[0].total))
+    class Seen(Shown):
+        def come_to(self, completed: int, total: int | None) -> None:
+            super().come_to(completed, total)
+            shown.append((completed, total))
 
-    monkeypatch.setattr(log_progress, "Progress", Shown)
+    monkeypatch.setattr(log_progress, "Shown", Seen)
     monkeypatch.setattr(log_progress, "expected_frames", lambda _: expected)
     with log_progress.logged_frames([logs[SHORT]], bus, lambda: False) as read:
         frames = sum(1 for _ in read)
