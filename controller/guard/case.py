@@ -107,8 +107,8 @@ def spans(wish: ValveRequest, before: Spans, now_us: int) -> Spans:
         span = found[other]
         if wish.actions[valve] == OFF_AT and span is not None:
             off_us = now_us + signed_us(wish.times_us[valve] - now_us)
-            if max(span.start_us, now_us) < off_us < span.end_us:
-                found[other] = Span(span.start_us, off_us)
+            if off_us > max(span.start_us, now_us):
+                found[other] = Span(span.start_us, min(off_us, span.end_us))
     return tuple(found)
 
 

@@ -12,6 +12,9 @@ import pytest
 from meshpoint.controller.guard.case import (
     MAIN_VALVES,
     NO_SPANS,
+    OFF_AT,
+    ON_AT,
+    ON_NOW,
     GuardState,
     JudgedCommand,
     Span,
@@ -30,6 +33,7 @@ from meshpoint.controller.guard.limits import (
 from meshpoint.controller.guard.own_speed import ShaftSpeed
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.settings.settings import ControllerSettings
+from meshpoint.controller.settings.valve_name import ValveName
 from meshpoint.gearbox import load_sheet
 
 SHEET = load_sheet("truck12")
@@ -294,6 +298,33 @@ def test_a_span_begins_where_its_valve_was_first_driven() -> None:
     assert spans(on_now, late, NOW_US)[0] == Span(NOW_US, 1 << 62)
     with pytest.raises(ValueError, match="argument"):
         spans(ValveRequest((1,) * 9, (0,) * 8), NO_SPANS, NOW_US)
+
+
+@pytest.mark.parametrize(
+    ("first", "release_us", "begun_us", "ends_us"),
+    [
+        ((ON_AT, 9), 23, None, 23),
+        ((ON_AT, 9), 9, None, 1 << 62),  # of one instant, off before on
+        ((ON_AT, 9), 8, None, 1 << 62),
+        ((ON_NOW, 0), 1, -9, 1),
+        ((ON_NOW, 0), 0, -9, 1 << 62),  # it has passed: nobody knows whether it was heard
+        ((ON_NOW, 0), -5, -9, 1 << 62),
+        ((OFF_AT, 10), 20, -9, 10),
+        ((OFF_AT, 20), 10, -9, 10),
+    ],
+)
+def test_a_release_of_the_other_valve_of_its_sleeve_ends_a_span(
+    first: tuple[int, int], release_us: int, begun_us: int | None, ends_us: int
+) -> None:
+    orders = {ValveName.MAIN_FIRST: first, ValveName.MAIN_SECOND: (OFF_AT, release_us)}
+    actions, times = zip(*(orders.get(valve, (0, -NOW_US)) for valve in ValveName), strict=True)
+    before = list(NO_SPANS)
+    if begun_us is not None:
+        before[ValveName.MAIN_FIRST] = Span(NOW_US + begun_us, 1 << 62)
+    request = ValveRequest(actions, tuple(NOW_US + time_us for time_us in times))
+    span = spans(request, tuple(before), NOW_US)[ValveName.MAIN_FIRST]
+    start_us = NOW_US + (first[1] if begun_us is None else begun_us)
+    assert span == Span(start_us, ends_us if ends_us == 1 << 62 else NOW_US + ends_us)
 
 
 def test_a_guard_begins_armed_and_cool_and_every_sleeve_valve_begins_to_be_driven() -> None:

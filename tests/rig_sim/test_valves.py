@@ -56,10 +56,15 @@ def orders(**given: tuple[ValveAction, int]) -> tuple[Order, ...]:
     return tuple(Order(*given.get(valve.name.lower(), (OFF, 0))) for valve in Valve)
 
 
-@pytest.mark.parametrize(
-    ("pushes", "other"),
-    [("main_first", "main_second"), ("split_high", "split_low"), ("range_low", "range_high")],
-)
+SLEEVES = [
+    ("split_low", "split_high"),
+    ("main_first", "main_second"),
+    ("main_crawl", "main_third"),
+    ("range_low", "range_high"),
+]
+
+
+@pytest.mark.parametrize(("pushes", "other"), [*SLEEVES, *((b, a) for a, b in SLEEVES)])
 def test_a_release_of_the_other_valve_of_its_sleeve_ends_a_pulse(pushes: str, other: str) -> None:
     bank, valve = ValveBank(), Valve[pushes.upper()]
     pulse = orders(**{pushes: (ON_AT, 9_000), other: (OFF_AT, 23_000), "brake": (ON, 0)})
