@@ -4,18 +4,18 @@ line."""
 from __future__ import annotations
 
 from time import monotonic
-from types import TracebackType
-from typing import Final
+from typing import Final, Self
 
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
+from meshpoint.bus.local.closing import Closing
 from meshpoint.results.output import complain, console
 
 EVERY_S: Final = 30.0
 """Between two lines, where there is no terminal."""
 
 
-class Shown:
+class Shown(Closing):
     """Work that takes long, while it is entered. doing: in a word or two; unit: what is counted, in
     the plural."""
 
@@ -41,16 +41,12 @@ class Shown:
         )
         self._said_s = monotonic()
 
-    def __enter__(self) -> Shown:
+    def __enter__(self) -> Self:
         self._progress.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """The bar goes."""
         self._progress.stop()
 
     def advance(self, by: int = 1) -> None:

@@ -209,7 +209,7 @@ def run(namespace: argparse.Namespace) -> int:
         log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
         if log is not None:
             stack.enter_context(log)
-        shown = stack.enter_context(Shown("simulating", "shifts", setup.shifts))
+        progress = stack.enter_context(Shown("simulating", "shifts", setup.shifts))
 
         def on_frame(time_us: int, frame: Frame) -> None:
             if log is not None:
@@ -218,7 +218,7 @@ def run(namespace: argparse.Namespace) -> int:
                 collector.receive(frame)
 
         def on_row(_row: ShiftRow) -> None:
-            shown.advance()
+            progress.advance()
 
         stop = stack.enter_context(interruptible())
         result = simulate(

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from drawn_shift import judged_shift
 from loop_bench import Loop
 
-from meshpoint.campaigns.draw import draw, upshifts
-from meshpoint.campaigns.loop import ClosedLoop
-from meshpoint.controller.settings.settings import ControllerSettings
 from meshpoint.dbc.messages import FaultCode, RigFault, ShiftResult
 from meshpoint.gearbox import load_sheet
 from meshpoint.results.rows import RowCollector, ShiftRow
@@ -62,17 +60,6 @@ def test_a_pull_whose_valve_comes_early_and_shuts_late_meets_no_other_gear(
     gearbox: int, judged: int
 ) -> None:
     """By 6 and 8 ms together. Red before: 9 to 11, first gear met at -289 and -286 rpm."""
-    learned = 6
-    drawn = draw(gearbox, TRUCK12, Preset.TRUCK, upshifts(), learned + 16, {}, Profile.HARSH)
-    loop = ClosedLoop(TRUCK12, ControllerSettings(), Preset.TRUCK, drawn)
-    for _ in range(learned):
-        loop.shift()
-    assert drawn.judged
-    loop.change_conditions(drawn.judged)
-    for _ in range(judged):
-        loop.shift()
-    loop.prepare()
-    row = loop.shift()
-    assert row is not None
+    row = judged_shift(gearbox, Profile.HARSH, judged, 16)
     assert (row.from_, row.to) == (9, 11)
     assert (row.result, row.fault, row.outside_window) == ("engaged", "none", 0)
